@@ -1,0 +1,253 @@
+from google.protobuf.internal import containers as _containers
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from typing import ClassVar as _ClassVar, Iterable as _Iterable, Mapping as _Mapping, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    STATE_UNSPECIFIED: _ClassVar[State]
+    TRACKED: _ClassVar[State]
+    TILT_AMBIGUOUS: _ClassVar[State]
+    IDENTITY_AMBIGUOUS: _ClassVar[State]
+    LOST: _ClassVar[State]
+
+class Fate(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    FATE_UNSPECIFIED: _ClassVar[Fate]
+    LED: _ClassVar[Fate]
+    UNEXPLAINED: _ClassVar[Fate]
+    TOO_SMALL: _ClassVar[Fate]
+    TOO_LARGE: _ClassVar[Fate]
+    ELONGATED: _ClassVar[Fate]
+    AT_EDGE: _ClassVar[Fate]
+    MASKED: _ClassVar[Fate]
+    TOO_FAINT: _ClassVar[Fate]
+    MISSHAPEN: _ClassVar[Fate]
+STATE_UNSPECIFIED: State
+TRACKED: State
+TILT_AMBIGUOUS: State
+IDENTITY_AMBIGUOUS: State
+LOST: State
+FATE_UNSPECIFIED: Fate
+LED: Fate
+UNEXPLAINED: Fate
+TOO_SMALL: Fate
+TOO_LARGE: Fate
+ELONGATED: Fate
+AT_EDGE: Fate
+MASKED: Fate
+TOO_FAINT: Fate
+MISSHAPEN: Fate
+
+class Vector3(_message.Message):
+    __slots__ = ("x", "y", "z")
+    X_FIELD_NUMBER: _ClassVar[int]
+    Y_FIELD_NUMBER: _ClassVar[int]
+    Z_FIELD_NUMBER: _ClassVar[int]
+    x: float
+    y: float
+    z: float
+    def __init__(self, x: _Optional[float] = ..., y: _Optional[float] = ..., z: _Optional[float] = ...) -> None: ...
+
+class Quaternion(_message.Message):
+    __slots__ = ("x", "y", "z", "w")
+    X_FIELD_NUMBER: _ClassVar[int]
+    Y_FIELD_NUMBER: _ClassVar[int]
+    Z_FIELD_NUMBER: _ClassVar[int]
+    W_FIELD_NUMBER: _ClassVar[int]
+    x: float
+    y: float
+    z: float
+    w: float
+    def __init__(self, x: _Optional[float] = ..., y: _Optional[float] = ..., z: _Optional[float] = ..., w: _Optional[float] = ...) -> None: ...
+
+class Pose(_message.Message):
+    __slots__ = ("position", "orientation")
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    ORIENTATION_FIELD_NUMBER: _ClassVar[int]
+    position: Vector3
+    orientation: Quaternion
+    def __init__(self, position: _Optional[_Union[Vector3, _Mapping]] = ..., orientation: _Optional[_Union[Quaternion, _Mapping]] = ...) -> None: ...
+
+class Spots(_message.Message):
+    __slots__ = ("x", "y", "covariance_xx", "covariance_xy", "covariance_yy", "brightness", "radius", "fate", "robot", "led")
+    X_FIELD_NUMBER: _ClassVar[int]
+    Y_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_XX_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_XY_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_YY_FIELD_NUMBER: _ClassVar[int]
+    BRIGHTNESS_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_FIELD_NUMBER: _ClassVar[int]
+    FATE_FIELD_NUMBER: _ClassVar[int]
+    ROBOT_FIELD_NUMBER: _ClassVar[int]
+    LED_FIELD_NUMBER: _ClassVar[int]
+    x: _containers.RepeatedScalarFieldContainer[float]
+    y: _containers.RepeatedScalarFieldContainer[float]
+    covariance_xx: _containers.RepeatedScalarFieldContainer[float]
+    covariance_xy: _containers.RepeatedScalarFieldContainer[float]
+    covariance_yy: _containers.RepeatedScalarFieldContainer[float]
+    brightness: _containers.RepeatedScalarFieldContainer[float]
+    radius: _containers.RepeatedScalarFieldContainer[float]
+    fate: _containers.RepeatedScalarFieldContainer[Fate]
+    robot: _containers.RepeatedScalarFieldContainer[int]
+    led: _containers.RepeatedScalarFieldContainer[int]
+    def __init__(self, x: _Optional[_Iterable[float]] = ..., y: _Optional[_Iterable[float]] = ..., covariance_xx: _Optional[_Iterable[float]] = ..., covariance_xy: _Optional[_Iterable[float]] = ..., covariance_yy: _Optional[_Iterable[float]] = ..., brightness: _Optional[_Iterable[float]] = ..., radius: _Optional[_Iterable[float]] = ..., fate: _Optional[_Iterable[_Union[Fate, str]]] = ..., robot: _Optional[_Iterable[int]] = ..., led: _Optional[_Iterable[int]] = ...) -> None: ...
+
+class Alternative(_message.Message):
+    __slots__ = ("pose", "odds")
+    POSE_FIELD_NUMBER: _ClassVar[int]
+    ODDS_FIELD_NUMBER: _ClassVar[int]
+    pose: Pose
+    odds: float
+    def __init__(self, pose: _Optional[_Union[Pose, _Mapping]] = ..., odds: _Optional[float] = ...) -> None: ...
+
+class RobotReport(_message.Message):
+    __slots__ = ("id", "state", "reason", "pose", "covariance", "leds", "rms_px", "led", "spot", "residual_x", "residual_y", "alternative", "points")
+    class PointsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: Vector3
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[Vector3, _Mapping]] = ...) -> None: ...
+    ID_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    POSE_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    LEDS_FIELD_NUMBER: _ClassVar[int]
+    RMS_PX_FIELD_NUMBER: _ClassVar[int]
+    LED_FIELD_NUMBER: _ClassVar[int]
+    SPOT_FIELD_NUMBER: _ClassVar[int]
+    RESIDUAL_X_FIELD_NUMBER: _ClassVar[int]
+    RESIDUAL_Y_FIELD_NUMBER: _ClassVar[int]
+    ALTERNATIVE_FIELD_NUMBER: _ClassVar[int]
+    POINTS_FIELD_NUMBER: _ClassVar[int]
+    id: str
+    state: State
+    reason: str
+    pose: Pose
+    covariance: _containers.RepeatedScalarFieldContainer[float]
+    leds: int
+    rms_px: float
+    led: _containers.RepeatedScalarFieldContainer[int]
+    spot: _containers.RepeatedScalarFieldContainer[int]
+    residual_x: _containers.RepeatedScalarFieldContainer[float]
+    residual_y: _containers.RepeatedScalarFieldContainer[float]
+    alternative: Alternative
+    points: _containers.MessageMap[str, Vector3]
+    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[State, str]] = ..., reason: _Optional[str] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., leds: _Optional[int] = ..., rms_px: _Optional[float] = ..., led: _Optional[_Iterable[int]] = ..., spot: _Optional[_Iterable[int]] = ..., residual_x: _Optional[_Iterable[float]] = ..., residual_y: _Optional[_Iterable[float]] = ..., alternative: _Optional[_Union[Alternative, _Mapping]] = ..., points: _Optional[_Mapping[str, Vector3]] = ...) -> None: ...
+
+class FrameReport(_message.Message):
+    __slots__ = ("sequence", "exposed_ns", "arrived_ns", "solved_ns", "published_ns", "frame_id", "spots", "robots")
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    EXPOSED_NS_FIELD_NUMBER: _ClassVar[int]
+    ARRIVED_NS_FIELD_NUMBER: _ClassVar[int]
+    SOLVED_NS_FIELD_NUMBER: _ClassVar[int]
+    PUBLISHED_NS_FIELD_NUMBER: _ClassVar[int]
+    FRAME_ID_FIELD_NUMBER: _ClassVar[int]
+    SPOTS_FIELD_NUMBER: _ClassVar[int]
+    ROBOTS_FIELD_NUMBER: _ClassVar[int]
+    sequence: int
+    exposed_ns: int
+    arrived_ns: int
+    solved_ns: int
+    published_ns: int
+    frame_id: str
+    spots: Spots
+    robots: _containers.RepeatedCompositeFieldContainer[RobotReport]
+    def __init__(self, sequence: _Optional[int] = ..., exposed_ns: _Optional[int] = ..., arrived_ns: _Optional[int] = ..., solved_ns: _Optional[int] = ..., published_ns: _Optional[int] = ..., frame_id: _Optional[str] = ..., spots: _Optional[_Union[Spots, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RobotReport, _Mapping]]] = ...) -> None: ...
+
+class Status(_message.Message):
+    __slots__ = ("time_ns", "source", "frames", "frames_dropped", "frames_unreadable", "frames_not_recorded", "rate_hz", "solve_p50_s", "solve_p99_s", "latency_p50_s", "latency_p99_s", "rejected", "robots", "problem")
+    class RejectedEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: int
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[int] = ...) -> None: ...
+    class RobotsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: int
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[int] = ...) -> None: ...
+    TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_DROPPED_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_UNREADABLE_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_NOT_RECORDED_FIELD_NUMBER: _ClassVar[int]
+    RATE_HZ_FIELD_NUMBER: _ClassVar[int]
+    SOLVE_P50_S_FIELD_NUMBER: _ClassVar[int]
+    SOLVE_P99_S_FIELD_NUMBER: _ClassVar[int]
+    LATENCY_P50_S_FIELD_NUMBER: _ClassVar[int]
+    LATENCY_P99_S_FIELD_NUMBER: _ClassVar[int]
+    REJECTED_FIELD_NUMBER: _ClassVar[int]
+    ROBOTS_FIELD_NUMBER: _ClassVar[int]
+    PROBLEM_FIELD_NUMBER: _ClassVar[int]
+    time_ns: int
+    source: str
+    frames: int
+    frames_dropped: int
+    frames_unreadable: int
+    frames_not_recorded: int
+    rate_hz: float
+    solve_p50_s: float
+    solve_p99_s: float
+    latency_p50_s: float
+    latency_p99_s: float
+    rejected: _containers.ScalarMap[str, int]
+    robots: _containers.ScalarMap[str, int]
+    problem: str
+    def __init__(self, time_ns: _Optional[int] = ..., source: _Optional[str] = ..., frames: _Optional[int] = ..., frames_dropped: _Optional[int] = ..., frames_unreadable: _Optional[int] = ..., frames_not_recorded: _Optional[int] = ..., rate_hz: _Optional[float] = ..., solve_p50_s: _Optional[float] = ..., solve_p99_s: _Optional[float] = ..., latency_p50_s: _Optional[float] = ..., latency_p99_s: _Optional[float] = ..., rejected: _Optional[_Mapping[str, int]] = ..., robots: _Optional[_Mapping[str, int]] = ..., problem: _Optional[str] = ...) -> None: ...
+
+class RigRobot(_message.Message):
+    __slots__ = ("id", "leds", "axis", "points")
+    class PointsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: Vector3
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[Vector3, _Mapping]] = ...) -> None: ...
+    ID_FIELD_NUMBER: _ClassVar[int]
+    LEDS_FIELD_NUMBER: _ClassVar[int]
+    AXIS_FIELD_NUMBER: _ClassVar[int]
+    POINTS_FIELD_NUMBER: _ClassVar[int]
+    id: str
+    leds: _containers.RepeatedCompositeFieldContainer[Vector3]
+    axis: Vector3
+    points: _containers.MessageMap[str, Vector3]
+    def __init__(self, id: _Optional[str] = ..., leds: _Optional[_Iterable[_Union[Vector3, _Mapping]]] = ..., axis: _Optional[_Union[Vector3, _Mapping]] = ..., points: _Optional[_Mapping[str, Vector3]] = ...) -> None: ...
+
+class RigReport(_message.Message):
+    __slots__ = ("camera", "frame_id", "width", "height", "camera_matrix", "distortion_model", "distortion", "world_camera", "robots", "rig_yaml", "camera_yaml")
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
+    FRAME_ID_FIELD_NUMBER: _ClassVar[int]
+    WIDTH_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    CAMERA_MATRIX_FIELD_NUMBER: _ClassVar[int]
+    DISTORTION_MODEL_FIELD_NUMBER: _ClassVar[int]
+    DISTORTION_FIELD_NUMBER: _ClassVar[int]
+    WORLD_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    ROBOTS_FIELD_NUMBER: _ClassVar[int]
+    RIG_YAML_FIELD_NUMBER: _ClassVar[int]
+    CAMERA_YAML_FIELD_NUMBER: _ClassVar[int]
+    camera: str
+    frame_id: str
+    width: int
+    height: int
+    camera_matrix: _containers.RepeatedScalarFieldContainer[float]
+    distortion_model: str
+    distortion: _containers.RepeatedScalarFieldContainer[float]
+    world_camera: Pose
+    robots: _containers.RepeatedCompositeFieldContainer[RigRobot]
+    rig_yaml: str
+    camera_yaml: str
+    def __init__(self, camera: _Optional[str] = ..., frame_id: _Optional[str] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., camera_matrix: _Optional[_Iterable[float]] = ..., distortion_model: _Optional[str] = ..., distortion: _Optional[_Iterable[float]] = ..., world_camera: _Optional[_Union[Pose, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RigRobot, _Mapping]]] = ..., rig_yaml: _Optional[str] = ..., camera_yaml: _Optional[str] = ...) -> None: ...

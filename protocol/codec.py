@@ -1,0 +1,256 @@
+"""Encode and decode, side by side for each kind of message.
+
+Every sub-message is set, even where it is zero: rerun's importer refuses an unset one. Encoding is deterministic, so
+equal values have equal bytes.
+"""
+
+from typing import TypeVar
+
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from google.protobuf.message import DecodeError
+from google.protobuf.message import Message as Protobuf
+from google.protobuf.timestamp_pb2 import Timestamp
+from numpy.typing import NDArray
+
+from asterism.protocol import asterism_pb2 as pb
+from asterism.protocol.camera import Camera
+from asterism.protocol.errors import InputError
+from asterism.protocol.geometry import Floats, Pose
+from asterism.protocol.messages import RobotPose
+from asterism.protocol.rig import Rig
+
+SECOND_NS = 1_000_000_000
+
+M = TypeVar("M", bound=Protobuf)
+
+
+def to_bytes(message: Protobuf) -> bytes:
+    """The bytes of a protobuf message; equal messages have equal bytes, maps included."""
+    return message.SerializeToString(deterministic=True)
+
+
+def _timestamp(time_ns: int) -> Timestamp:
+    return Timestamp(seconds=time_ns // SECOND_NS, nanos=time_ns % SECOND_NS)
+
+
+def _nanoseconds(stamp: Timestamp) -> int:
+    return stamp.seconds * SECOND_NS + stamp.nanos
+
+
+def _set_pose(target: "pb.Pose", pose: Pose) -> None:
+    """Write a pose into any message with the fields position and orientation."""
+    p, q = target.position, target.orientation
+    p.x, p.y, p.z = pose.position.tolist()
+    q.x, q.y, q.z, q.w = pose.orientation.tolist()
+    p.SetInParent()
+
+
+def set_vector(target: "pb.Vector3", vector: Floats) -> None:
+    """Write (3,) into a vector message."""
+    target.x, target.y, target.z = vector.tolist()
+    target.SetInParent()
+
+
+# Odometry: one robot, one frame.
+
+
+def encode_odometry(told: RobotPose) -> bytes:
+    """foxglove.Odometry."""
+    message = Odometry(timestamp=_timestamp(told.exposed_ns), frame_id=told.frame_id, body_frame_id=told.robot)
+    _set_pose(message.pose, told.pose)  # type: ignore[arg-type]
+    message.pose_covariance.extend(told.covariance.ravel().tolist())
+    for key, value in (
+        ("state", told.state),
+        ("leds", str(told.leds)),
+        ("rms_px", f"{told.rms_px:.5g}"),
+        ("sequence", str(told.sequence)),
+        ("published_ns", str(told.published_ns)),
+    ):
+        message.metadata.add(key=key, value=value)
+    return to_bytes(message)
+
+
+def decode_odometry(payload: bytes) -> RobotPose:
+    """The RobotPose in a foxglove.Odometry. Raises InputError for bytes that are none, or not Asterism's."""
+    message = Odometry()
+    try:
+        message.ParseFromString(payload)
+        metadata = {pair.key: pair.value for pair in message.metadata}
+        p, q = message.pose.position, message.pose.orientation
+        return RobotPose(
+            robot=message.body_frame_id,
+            frame_id=message.frame_id,
+            pose=Pose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])),
+            covariance=np.array(message.pose_covariance).reshape(6, 6),
+            state=metadata["state"],
+            leds=int(metadata["leds"]),
+            rms_px=float(metadata["rms_px"]),
+            sequence=int(metadata["sequence"]),
+            exposed_ns=_nanoseconds(message.timestamp),
+            published_ns=int(metadata["published_ns"]),
+        )
+    except (DecodeError, KeyError, ValueError, AssertionError) as error:
+        raise InputError(f"odometry message: {len(payload)} bytes that are no pose of Asterism ({error})") from None
+
+
+# FrameReport and Status are used as the protobuf messages they are.
+
+
+def decode_frame_report(payload: bytes) -> "pb.FrameReport":
+    """Raises InputError for bytes that are none."""
+    return _parse(pb.FrameReport(), payload)
+
+
+def decode_status(payload: bytes) -> "pb.Status":
+    """Raises InputError for bytes that are none."""
+    return _parse(pb.Status(), payload)
+
+
+def _parse(message: M, payload: bytes) -> M:
+    try:
+        message.ParseFromString(payload)
+    except DecodeError as error:
+        raise InputError(f"{len(payload)} bytes that are no {message.DESCRIPTOR.full_name} ({error})") from None
+    return message
+
+
+def set_report_pose(target: "pb.Pose", pose: Pose) -> None:
+    """Write a pose into a report."""
+    _set_pose(target, pose)
+
+
+def report_pose(message: "pb.Pose") -> Pose:
+    """The pose in a report."""
+    p, q = message.position, message.orientation
+    return Pose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
+
+
+# Rig report: rig and calibration in force.
+
+
+def encode_rig(rig: Rig) -> bytes:
+    """asterism.RigReport."""
+    camera = rig.camera
+    message = pb.RigReport(
+        camera=camera.name,
+        frame_id=rig.parent_frame,
+        width=camera.width,
+        height=camera.height,
+        camera_matrix=camera.matrix.ravel().tolist(),
+        distortion_model=camera.model,
+        distortion=camera.distortion.tolist(),
+        rig_yaml=rig.rig_text,
+        camera_yaml=rig.camera_text,
+    )
+    if rig.T_world_camera is not None:
+        _set_pose(message.world_camera, rig.T_world_camera)
+    for robot in rig.robots:
+        entry = message.robots.add(id=robot.id)
+        for led in robot.leds:
+            set_vector(entry.leds.add(), led)
+        set_vector(entry.axis, robot.axis)
+        for name, point in robot.points.items():
+            set_vector(entry.points[name], point)
+    return to_bytes(message)
+
+
+def decode_rig(payload: bytes) -> "pb.RigReport":
+    """Raises InputError for bytes that are none."""
+    return _parse(pb.RigReport(), payload)
+
+
+# What recordings hold beside the published messages, for viewers.
+
+
+def encode_transforms(time_ns: int, transforms: list[tuple[str, str, Pose]]) -> bytes:
+    """foxglove.FrameTransforms of (parent frame, child frame, T_parent_child)."""
+    message = FrameTransforms()
+    for parent, child, pose in transforms:
+        entry = message.transforms.add(
+            timestamp=_timestamp(time_ns), parent_frame_id=parent, child_frame_id=child
+        )
+        entry.translation.x, entry.translation.y, entry.translation.z = pose.position.tolist()
+        entry.translation.SetInParent()
+        q = entry.rotation
+        q.x, q.y, q.z, q.w = pose.orientation.tolist()
+    return to_bytes(message)
+
+
+def encode_calibration(time_ns: int, camera: Camera) -> bytes:
+    """foxglove.CameraCalibration; the projection matrix is K, images are as the camera gives them."""
+    k = camera.matrix
+    message = CameraCalibration(
+        timestamp=_timestamp(time_ns),
+        frame_id=camera.name,
+        width=camera.width,
+        height=camera.height,
+        distortion_model=camera.model,
+        D=camera.distortion.tolist(),
+        K=k.ravel().tolist(),
+        R=np.eye(3).ravel().tolist(),
+        P=np.column_stack([k, np.zeros(3)]).ravel().tolist(),
+    )
+    return to_bytes(message)
+
+
+def encode_image(time_ns: int, camera: Camera, image: NDArray[np.uint8]) -> bytes:
+    """foxglove.RawImage of an (h, w) grey image."""
+    height, width = image.shape
+    message = RawImage(
+        timestamp=_timestamp(time_ns),
+        frame_id=camera.name,
+        width=width,
+        height=height,
+        encoding="mono8",
+        step=width,
+        data=image.tobytes(),
+    )
+    return to_bytes(message)
+
+
+def decode_image(payload: bytes) -> NDArray[np.uint8]:
+    """The (h, w) uint8 image in a foxglove.RawImage. Raises InputError for another encoding than mono8."""
+    message = _parse(RawImage(), payload)
+    if message.encoding not in {"mono8", "8UC1"}:
+        raise InputError(f"image message: encoding {message.encoding!r}, expected mono8")
+    if message.step < message.width or len(message.data) != message.step * message.height:
+        raise InputError(
+            f"image message: {len(message.data)} bytes, expected {message.step} x {message.height}"
+        )
+    rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)
+    return np.ascontiguousarray(rows[:, : message.width])
+
+
+def encode_annotations(time_ns: int, report: "pb.FrameReport") -> bytes:
+    """foxglove.ImageAnnotations of a report's spots: a circle for each, green for LEDs, red for the rejected, and
+    the robot's id beside its first LED.
+    """
+    message = ImageAnnotations()
+    spots = report.spots
+    named: set[int] = set()
+    for x, y, radius, fate, robot, led in zip(
+        spots.x, spots.y, spots.radius, spots.fate, spots.robot, spots.led, strict=True
+    ):
+        circle = message.circles.add(timestamp=_timestamp(time_ns), thickness=1.0, diameter=2 * radius + 6)
+        circle.position.x, circle.position.y = x, y
+        colour = circle.outline_color
+        if fate == pb.LED:
+            colour.r, colour.g, colour.b, colour.a = 0.2, 1.0, 0.3, 1.0
+        elif fate == pb.UNEXPLAINED:
+            colour.r, colour.g, colour.b, colour.a = 1.0, 0.8, 0.1, 1.0
+        else:
+            colour.r, colour.g, colour.b, colour.a = 1.0, 0.2, 0.2, 0.7
+        circle.fill_color.SetInParent()
+        if robot >= 0:
+            label = f"{report.robots[robot].id} {led}" if robot not in named else str(led)
+            named.add(robot)
+            text = message.texts.add(timestamp=_timestamp(time_ns), text=label, font_size=14.0)
+            text.position.x, text.position.y = x + radius + 5, y
+            text.text_color.r, text.text_color.g, text.text_color.b, text.text_color.a = 0.2, 1.0, 0.3, 1.0
+            text.background_color.SetInParent()
+    return to_bytes(message)

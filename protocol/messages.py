@@ -1,0 +1,92 @@
+"""Messages as every sink gets them: a key, a payload, three numbers; and the table of what they are.
+
+One FrameResult becomes some of these once; they are published, recorded and replayed byte for byte.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+from asterism.protocol import asterism_pb2 as pb
+from asterism.protocol.geometry import Floats, Pose
+
+State = pb.State
+Fate = pb.Fate
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of message: its protobuf schema, and whether it goes over the network or only into recordings."""
+
+    schema: str
+    on_wire: bool
+
+    @property
+    def encoding(self) -> str:
+        """The zenoh encoding."""
+        return f"application/protobuf;{self.schema}"
+
+
+ODOMETRY = Kind("foxglove.Odometry", on_wire=True)
+FRAME_REPORT = Kind("asterism.FrameReport", on_wire=True)
+STATUS = Kind("asterism.Status", on_wire=True)
+RIG_REPORT = Kind("asterism.RigReport", on_wire=True)
+TRANSFORMS = Kind("foxglove.FrameTransforms", on_wire=False)
+ANNOTATIONS = Kind("foxglove.ImageAnnotations", on_wire=False)
+CALIBRATION = Kind("foxglove.CameraCalibration", on_wire=False)
+IMAGE = Kind("foxglove.RawImage", on_wire=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One message. Times are ns since the Unix epoch; ``log_ns`` is the mid-exposure of what it tells about."""
+
+    key: str
+    kind: Kind
+    payload: bytes
+    log_ns: int
+    publish_ns: int
+    sequence: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotPose:
+    """One robot in one frame, as its odometry message tells it.
+
+    ``pose`` is T_<frame_id>_<robot>; ``covariance`` (6, 6) in m and rad: x, y, z, rotation about x, y, z of the
+    parent frame; ``state`` is TRACKED or TILT_AMBIGUOUS.
+    """
+
+    robot: str
+    frame_id: str
+    pose: Pose
+    covariance: Floats
+    state: str
+    leds: int
+    rms_px: float
+    sequence: int
+    exposed_ns: int
+    published_ns: int
+
+
+@cache
+def descriptor_set(schema: str) -> bytes:
+    """The serialized FileDescriptorSet of a schema with all it depends on, dependencies first."""
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
+    # Importing the codec fills the default pool with every schema in use.
+    import asterism.protocol.codec  # noqa: F401
+
+    found = FileDescriptorSet()
+    seen: set[str] = set()
+
+    def add(file: object) -> None:
+        for dependency in file.dependencies:  # type: ignore[attr-defined]
+            add(dependency)
+        if file.name not in seen:  # type: ignore[attr-defined]
+            seen.add(file.name)  # type: ignore[attr-defined]
+            file.CopyToProto(found.file.add())  # type: ignore[attr-defined]
+
+    from google.protobuf.descriptor_pool import Default
+
+    add(Default().FindMessageTypeByName(schema).file)
+    return found.SerializeToString(deterministic=True)

@@ -1,0 +1,305 @@
+"""rig.yaml: one camera and its robots, read strictly into values that never change."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from asterism.protocol.camera import Camera, load_camera, parse_camera
+from asterism.protocol.constellation import LEDS, Confusion, confusions, extent, plane_of
+from asterism.protocol.errors import InputError
+from asterism.protocol.geometry import Floats, Pose, frozen_array
+from asterism.protocol.keys import key_problem
+from asterism.protocol.yaml_file import Section, parse_yaml, read_yaml
+
+ESTIMATORS = ("edge-model", "grey-square")
+COPLANAR = 0.02  # of the extent: LEDs farther from their common plane are refused
+SEPARATION = 0.02  # of the extent: constellations nearer than this cannot be told apart
+NEAREST_LEDS = 0.03  # of the extent: LEDs nearer than this would be one spot
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalPrior:
+    """Where the LEDs' axis points: within ``within_rad`` of ``world`` (3,), a unit vector in the world frame."""
+
+    world: Floats
+    within_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Robot:
+    """A robot and its constellation. Lengths in m, in the robot's frame unless another is named."""
+
+    id: str
+    leds: Floats  # (6, 3)
+    axis: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))  # (3,) unit: where the LEDs shine
+    led_radius: float | None = None
+    points: dict[str, Floats] = field(default_factory=dict)  # name -> (3,)
+    normal: NormalPrior | None = None
+    T_robot_plane: Pose = field(init=False)
+    leds_plane: Floats = field(init=False)  # (6, 3); third column: distance from the common plane
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "leds", frozen_array(self.leds, LEDS, 3))
+        object.__setattr__(self, "axis", frozen_array(self.axis, 3))
+        T_robot_plane, leds_plane = plane_of(self.leds, self.axis)
+        object.__setattr__(self, "T_robot_plane", T_robot_plane)
+        object.__setattr__(self, "leds_plane", frozen_array(leds_plane, LEDS, 3))
+
+    @property
+    def extent(self) -> float:
+        """The largest distance between two LEDs, m."""
+        return extent(self.leds)
+
+
+@dataclass(frozen=True, slots=True)
+class Capture:
+    """Camera settings; None leaves the camera's own."""
+
+    rate_hz: float | None = None
+    exposure_us: float | None = None
+    gain: float | None = None
+    size: tuple[int, int] | None = None  # width, height
+    bits: int | None = None  # of a 16-bit frame's pixels; None: all 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """One camera and its robots, with the texts of the files they came from."""
+
+    camera: Camera
+    robots: tuple[Robot, ...]
+    range_m: tuple[float, float] | None = None
+    masks: tuple[tuple[int, int, int, int], ...] = ()  # x0, y0, x1, y1 px, both ends included
+    centre: str = ESTIMATORS[0]
+    capture: Capture = field(default_factory=Capture)
+    T_world_camera: Pose | None = None
+    rig_text: str = ""
+    camera_text: str = ""
+
+    @property
+    def parent_frame(self) -> str:
+        """The frame that poses are given in: `world`, or the camera's name where the rig places no camera."""
+        return self.camera.name if self.T_world_camera is None else "world"
+
+    def robot(self, robot_id: str) -> Robot:
+        """The robot of that id. Raises KeyError."""
+        for robot in self.robots:
+            if robot.id == robot_id:
+                return robot
+        raise KeyError(robot_id)
+
+
+def load_rig(path: str | Path) -> Rig:
+    """Read a rig.yaml and the camera file it names.
+
+    Raises InputError with file, key, what was found and what is accepted.
+    """
+    path = Path(path)
+    section = read_yaml(path)
+    camera_path = path.parent / section.text("camera")
+    if not camera_path.exists():
+        raise section.error("camera", f"there is no file {camera_path}, expected a camera_info calibration file")
+    return _rig(section, load_camera(camera_path), path.read_text(), camera_path.read_text())
+
+
+def parse_rig(rig_text: str, camera_text: str, name: str) -> Rig:
+    """A rig from the texts of both files, as a recording keeps them. Raises InputError as `load_rig` does."""
+    section = parse_yaml(rig_text, f"{name}: rig.yaml")
+    return _rig(section, parse_camera(camera_text, f"{name}: camera.yaml"), rig_text, camera_text)
+
+
+def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str) -> Rig:
+    section.only(("camera", "range", "masks", "centre", "capture", "world", "robots"))
+    section.text("camera")
+    T_world_camera = _world(section.section("world")) if "world" in section else None
+    if T_world_camera is not None and camera.name == "world":
+        raise section.error("world", "the camera's name is 'world' too; give camera_name another value")
+    inner = section.section("robots")
+    if not inner.values:
+        raise section.error("robots", "is empty, expected at least one robot")
+    robots = tuple(_robot(name, part, T_world_camera) for name, part in inner.sections().items())
+    _refuse_lookalikes(inner, robots)
+    return Rig(
+        camera=camera,
+        robots=robots,
+        range_m=_range(section) if "range" in section else None,
+        masks=_masks(section, camera) if "masks" in section else (),
+        centre=section.text("centre", ESTIMATORS) if "centre" in section else ESTIMATORS[0],
+        capture=_capture(section.section("capture")) if "capture" in section else Capture(),
+        T_world_camera=T_world_camera,
+        rig_text=rig_text,
+        camera_text=camera_text,
+    )
+
+
+def _range(section: Section) -> tuple[float, float]:
+    near, far = section.numbers("range", 2, "nearest and farthest working distance, m")
+    if not 0 < near < far:
+        raise section.error("range", f"[{near:g}, {far:g}], expected 0 < nearest < farthest, m")
+    return near, far
+
+
+def _masks(section: Section, camera: Camera) -> tuple[tuple[int, int, int, int], ...]:
+    masks = []
+    for index, row in enumerate(section.rows("masks", 4, "x0, y0, x1, y1 px")):
+        x0, y0, x1, y1 = (int(value) for value in row)
+        if [x0, y0, x1, y1] != row or not (0 <= x0 < x1 < camera.width and 0 <= y0 < y1 < camera.height):
+            raise section.error(
+                f"masks[{index}]",
+                f"{row}, expected whole numbers x0 < x1 <= {camera.width - 1} and y0 < y1 <= {camera.height - 1}",
+            )
+        masks.append((x0, y0, x1, y1))
+    return tuple(masks)
+
+
+def _capture(section: Section) -> Capture:
+    section.only(("rate", "exposure_us", "gain", "size", "bits"))
+    size = None
+    if "size" in section:
+        width, height = section.numbers("size", 2, "width, height px")
+        if not (width.is_integer() and height.is_integer() and width > 0 and height > 0):
+            raise section.error("size", f"[{width:g}, {height:g}], expected two whole numbers of px above 0")
+        size = (int(width), int(height))
+    return Capture(
+        rate_hz=section.number("rate", above=0) if "rate" in section else None,
+        exposure_us=section.number("exposure_us", above=0) if "exposure_us" in section else None,
+        gain=section.number("gain", least=0) if "gain" in section else None,
+        size=size,
+        bits=section.integer("bits", 8, 16) if "bits" in section else None,
+    )
+
+
+def _world(section: Section) -> Pose:
+    section.only(("position", "orientation"))
+    position = section.numbers("position", 3, "x, y, z of the camera in the world, m")
+    quat = section.numbers("orientation", 4, "the quaternion x, y, z, w")
+    length = float(np.linalg.norm(quat))
+    if abs(length - 1.0) > 1e-3:
+        raise section.error("orientation", f"a quaternion of length {length:g}, expected x, y, z, w of length 1")
+    return Pose(np.array(position), np.array(quat))
+
+
+def _robot(name: str, section: Section, T_world_camera: Pose | None) -> Robot:
+    if problem := key_problem(name):
+        raise section.error(None, f"the robot's id {name!r} {problem}; it becomes part of a zenoh key")
+    section.only(("leds", "led", "points", "normal"))
+    leds = _leds(section)
+    axis, radius = np.array([0.0, 0.0, 1.0]), None
+    if "led" in section:
+        led = section.section("led")
+        led.only(("radius", "axis"))
+        if "axis" in led:
+            axis = _direction(led, "axis", "the emission axis in the robot's frame")
+        if "radius" in led:
+            radius = led.number("radius", above=0)
+            if radius > extent(leds) / 4:
+                raise led.error(
+                    "radius", f"{radius:g}, expected m, well below the LEDs' distances ({extent(leds):g} m)"
+                )
+    normal = plane_of(leds, axis)[0].rotation[:, 2]
+    if normal @ axis < 0.2:
+        key = "led.axis" if "led" in section and "axis" in section.section("led") else "leds"
+        raise section.error(
+            key,
+            f"the LEDs shine along {axis.round(3).tolist()}, within their own plane (normal "
+            f"{normal.round(3).tolist()}), expected led.axis to point out of it",
+        )
+    points: dict[str, Floats] = {}
+    if "points" in section:
+        inner = section.section("points")
+        for key in inner.values:
+            if problem := key_problem(key):
+                raise inner.error(None, f"the point's name {key!r} {problem}")
+            points[key] = frozen_array(inner.numbers(key, 3, "x, y, z in the robot's frame, m"), 3)
+    prior = None
+    if "normal" in section:
+        inner = section.section("normal")
+        inner.only(("world", "within_deg"))
+        if T_world_camera is None:
+            raise section.error("normal", "needs the rig's `world`, the pose of the camera in the world")
+        direction = _direction(inner, "world", "where led.axis points, in the world's frame")
+        within = inner.number("within_deg", above=0)
+        if within > 180:
+            raise inner.error("within_deg", f"{within:g}, expected at most 180")
+        prior = NormalPrior(frozen_array(direction, 3), float(np.radians(within)))
+    return Robot(name, leds, axis, radius, points, prior)
+
+
+def _direction(section: Section, key: str, what: str) -> Floats:
+    vector = np.array(section.numbers(key, 3, what))
+    length = float(np.linalg.norm(vector))
+    if length == 0.0:
+        raise section.error(key, "[0, 0, 0] has no direction, expected a vector of any length above 0")
+    unit: Floats = vector / length
+    return unit
+
+
+def _leds(section: Section) -> Floats:
+    rows = section.rows("leds", 3, "x, y, z in the robot's frame, m")
+    if len(rows) != LEDS:
+        raise section.error("leds", f"{len(rows)} positions, expected {LEDS}")
+    leds = np.array(rows)
+    size = extent(leds)
+    spacing = np.linalg.norm(leds[:, None] - leds[None], axis=-1) + np.eye(LEDS) * 1e9
+    first, second = (int(i) for i in np.unravel_index(int(np.argmin(spacing)), spacing.shape))
+    if size == 0.0 or spacing[first, second] < NEAREST_LEDS * size:
+        raise section.error(
+            "leds",
+            f"LEDs {first} and {second} are {spacing[first, second] * 1e3:.3g} mm apart, expected at least "
+            f"{NEAREST_LEDS:.0%} of the constellation's extent ({size * 1e3:.3g} mm)",
+        )
+    if size > 100.0:
+        raise section.error("leds", f"the LEDs are {size:g} m apart; positions are in m, not mm")
+    centred = leds - leds.mean(axis=0)
+    _, lengths, axes = np.linalg.svd(centred)
+    if lengths[1] < 0.05 * lengths[0]:
+        raise section.error("leds", "the LEDs lie on one line, expected six positions spread over a plane")
+    off = np.abs(centred @ axes[2])
+    if off.max() > COPLANAR * size:
+        raise section.error(
+            "leds",
+            f"LED {int(np.argmax(off))} lies {off.max() * 1e3:.3g} mm off the common plane, expected coplanar LEDs "
+            f"(at most {COPLANAR:.0%} of their extent, {COPLANAR * size * 1e3:.3g} mm)",
+        )
+    return leds
+
+
+def _refuse_lookalikes(section: Section, robots: tuple[Robot, ...]) -> None:
+    for confusion in confusions([robot.leds_plane[:, :2] for robot in robots]):
+        seen, taken = robots[confusion.seen], robots[confusion.taken]
+        limit = SEPARATION * min(seen.extent, taken.extent)
+        if confusion.separation >= limit:
+            continue
+        if confusion.seen == confusion.taken:
+            raise section.error(
+                f"{seen.id}.leds",
+                f"the constellation looks the same turned (LEDs {list(confusion.seen_leds)} as "
+                f"{list(confusion.taken_leds)}, separation {confusion.separation * 1e3:.2g} mm), expected at least "
+                f"{limit * 1e3:.2g} mm, {SEPARATION:.0%} of its extent",
+            )
+        raise section.error(
+            None,
+            f"{seen.id} and {taken.id} have equal constellations (separation {confusion.separation * 1e3:.2g} mm), "
+            f"expected at least {limit * 1e3:.2g} mm, {SEPARATION:.0%} of their extent",
+        )
+
+
+def hidden_led_warnings(rig: Rig) -> list[str]:
+    """A sentence for every pair of robots that become alike, or robot that becomes symmetric, with one LED hidden."""
+    nearest: dict[tuple[int, int], Confusion] = {}
+    for confusion in confusions([robot.leds_plane[:, :2] for robot in rig.robots], hidden=1):
+        seen, taken = rig.robots[confusion.seen], rig.robots[confusion.taken]
+        pair = (min(confusion.seen, confusion.taken), max(confusion.seen, confusion.taken))
+        near = confusion.separation < SEPARATION * min(seen.extent, taken.extent)
+        if near and (pair not in nearest or confusion.separation < nearest[pair].separation):
+            nearest[pair] = confusion
+    sentences = []
+    for (first, second), confusion in sorted(nearest.items()):
+        who = (
+            f"{rig.robots[first].id} looks the same turned"
+            if first == second
+            else f"{rig.robots[first].id} and {rig.robots[second].id} look alike"
+        )
+        sentences.append(f"with one LED hidden {who} (separation {confusion.separation * 1e3:.2g} mm)")
+    return sentences

@@ -1,0 +1,176 @@
+"""Reading the YAML files that people write, so that every mistake gets one sentence.
+
+YAML 1.2 by ruamel.yaml: `no` is a word, `5e-3` a number, duplicate keys are refused.
+"""
+
+import difflib
+import math
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any
+
+from asterism.protocol.errors import InputError
+
+
+def read_yaml(path: Path) -> "Section":
+    """The mapping that the file holds.
+
+    Raises InputError when the file is missing, unreadable, no YAML or no mapping.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a folder, expected a YAML file") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is no text in UTF-8, expected a YAML file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    return parse_yaml(text, str(path))
+
+
+def parse_yaml(text: str, name: str) -> "Section":
+    """The mapping that ``text`` holds; ``name`` is what sentences call it. Raises InputError as `read_yaml` does."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.constructor import DuplicateKeyError
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+    try:
+        values = YAML(typ="safe", pure=True).load(text)
+    except DuplicateKeyError as error:
+        key = str(error.problem).split('"')[1]
+        raise InputError(f"{name}: line {_line(error)}: key '{key}' is given twice, expected once") from None
+    except MarkedYAMLError as error:
+        problem = " ".join(str(error.problem).split())
+        raise InputError(f"{name}: line {_line(error)}: is no YAML: {problem}") from None
+    except YAMLError as error:
+        raise InputError(f"{name}: is no YAML: {' '.join(str(error).split())}") from None
+    if values is None:
+        raise InputError(f"{name}: is empty, expected a YAML mapping")
+    return Section(values, name, "")
+
+
+def _line(error: Any) -> int:
+    mark = error.problem_mark or error.context_mark
+    return int(mark.line) + 1 if mark else 1
+
+
+class Section:
+    """One mapping of a file, with where it stands; its methods return checked values or raise InputError."""
+
+    def __init__(self, values: object, file: str, where: str) -> None:
+        self.file = file
+        self.where = where
+        if not isinstance(values, dict):
+            raise self.error(None, f"{describe(values)}, expected a mapping of keys to values")
+        for key in values:
+            if not isinstance(key, str):
+                raise self.error(None, f"key {key!r} is {describe(key)}, expected text; put it in quotes")
+        self.values: dict[str, Any] = values
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.values
+
+    def path(self, key: str | None) -> str:
+        """The dotted path of a key, for sentences."""
+        return ".".join(part for part in (self.where, key) if part)
+
+    def error(self, key: str | None, text: str) -> InputError:
+        """An InputError that names file and key."""
+        path = self.path(key)
+        return InputError(f"{self.file}: {path}: {text}" if path else f"{self.file}: {text}")
+
+    def only(self, allowed: Collection[str]) -> None:
+        """Refuse keys that are not in ``allowed``, suggesting the nearest."""
+        for key in self.values:
+            if key not in allowed:
+                near = difflib.get_close_matches(key, allowed, n=1, cutoff=0.5)
+                hint = f"did you mean '{near[0]}'? " if near else ""
+                raise self.error(None, f"unknown key '{key}'; {hint}Accepted: {', '.join(allowed)}")
+
+    def section(self, key: str) -> "Section":
+        """The mapping under ``key``."""
+        return Section(self._get(key, "a mapping"), self.file, self.path(key))
+
+    def sections(self) -> dict[str, "Section"]:
+        """Every value of this mapping as a mapping."""
+        return {key: self.section(key) for key in self.values}
+
+    def text(self, key: str, choices: Sequence[str] | None = None) -> str:
+        """A text, one of ``choices`` if they are given."""
+        value = self._get(key, "text")
+        if choices is not None and value not in choices:
+            raise self.error(key, f"{describe(value)}, expected one of {', '.join(choices)}")
+        if not isinstance(value, str) or not value:
+            raise self.error(key, f"{describe(value)}, expected text")
+        return value
+
+    def number(self, key: str, *, above: float = -math.inf, least: float = -math.inf) -> float:
+        """A finite number, greater than ``above`` and not less than ``least``."""
+        if above > -math.inf:
+            wanted = f"a number above {above:g}"
+        elif least > -math.inf:
+            wanted = f"a number, {least:g} or more"
+        else:
+            wanted = "a number"
+        value = self._get(key, wanted)
+        if not _is_number(value) or not value > above or not value >= least:
+            raise self.error(key, f"{describe(value)}, expected {wanted}")
+        return float(value)
+
+    def integer(self, key: str, low: int, high: int) -> int:
+        """A whole number from ``low`` to ``high``."""
+        wanted = f"a whole number from {low} to {high}"
+        value = self._get(key, wanted)
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise self.error(key, f"{describe(value)}, expected {wanted}")
+        return value
+
+    def numbers(self, key: str, count: int, what: str) -> list[float]:
+        """A list of ``count`` finite numbers; ``what`` says what they are."""
+        wanted = f"{count} numbers ({what})"
+        value = self._get(key, wanted)
+        return self._numbers(value, key, wanted, count)
+
+    def rows(self, key: str, count: int, what: str) -> list[list[float]]:
+        """A list of lists of ``count`` finite numbers each."""
+        wanted = f"a list of {what}"
+        value = self._get(key, wanted)
+        if not isinstance(value, list):
+            raise self.error(key, f"{describe(value)}, expected {wanted}")
+        return [
+            self._numbers(row, f"{key}[{index}]", f"{count} numbers ({what})", count)
+            for index, row in enumerate(value)
+        ]
+
+    def _numbers(self, value: object, key: str, wanted: str, count: int) -> list[float]:
+        if not isinstance(value, list):
+            raise self.error(key, f"{describe(value)}, expected {wanted}")
+        if len(value) != count:
+            raise self.error(key, f"{len(value)} values, expected {wanted}")
+        for item in value:
+            if not _is_number(item):
+                raise self.error(key, f"{describe(item)} is among the values, expected {wanted}")
+        return [float(item) for item in value]
+
+    def _get(self, key: str, wanted: str) -> Any:
+        if key not in self.values:
+            raise self.error(key, f"is missing, expected {wanted}")
+        return self.values[key]
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def describe(value: object) -> str:
+    """A value as a sentence shows it."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, dict):
+        return f"a mapping of {len(value)} keys"
+    if isinstance(value, list):
+        return f"a list of {len(value)} values"
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

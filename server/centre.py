@@ -1,0 +1,121 @@
+"""Sub-pixel centres of the kept spots, by the estimator that the rig asks for, each with its covariance."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from asterism.server.edge_model import fit_edge_model
+from asterism.server.grey_square import fit_grey_square
+from asterism.server.leaning import fit_leaning
+from asterism.server.spots import FATE, HEIGHT, SEMI_A, SHOULDER, TOUCHING, UNEXPLAINED, X, Y
+
+ESTIMATOR_NUMBERS = {"edge-model": 0, "grey-square": 1}
+
+BLUR_PX = 0.85  # point spread and pixel together; a wrong value costs little (0.6 to 1.1 px: at most 13 %)
+GAIN = 0.035  # variance per grey level of light: a sensor of 7000 electrons at grey level 255
+ITERATIONS = 3
+NEIGHBOUR_REACH_PX = 9.0  # spots farther apart than this, edge to edge, do not disturb one another
+MOST_NEIGHBOURS = 8
+ONE_SIDED = 6.0  # sigmas of light to one side of a spot beyond which there is other light
+LEANING_ERROR_PX = 0.06  # the light beside a spot is no exact Gaussian
+UNEXPLAINED_LIGHT_PX = 0.15  # light to one side that no fit explains moves the centre about this far
+TOUCHING_PX = 4.0  # a spot that was split from another is fitted together with it if it is this near
+LARGEST_LEANING = 3.0  # and not this many times larger: a lamp is no round Gaussian
+
+
+@njit(cache=True, nogil=True)
+def _neighbours_of(spots, order, place, widest, neighbours, other):  # type: ignore[no-untyped-def]
+    """Fill ``neighbours`` (k, 3) x, y, radius px with the spots near the one at ``place``; return their count.
+
+    ``other`` (4,) receives x, y, height and radius of the brightest of those that were split from it, if it is no
+    lamp; its height is 0 where there is none.
+    """
+    n = order.shape[0]
+    spot = spots[order[place]]
+    count = 0
+    other[:] = 0.0
+    for direction in (-1, 1):
+        step = place + direction
+        while 0 <= step < n:
+            near = spots[order[step]]
+            if abs(near[X] - spot[X]) > spot[SEMI_A] + widest + NEIGHBOUR_REACH_PX:
+                break
+            gap = math.hypot(near[X] - spot[X], near[Y] - spot[Y]) - spot[SEMI_A] - near[SEMI_A]
+            if gap < NEIGHBOUR_REACH_PX and count < MOST_NEIGHBOURS:
+                neighbours[count, 0], neighbours[count, 1], neighbours[count, 2] = near[X], near[Y], near[SEMI_A]
+                count += 1
+                beside = spot[TOUCHING] > 0.0 and near[TOUCHING] > 0.0 and gap < TOUCHING_PX
+                if beside and near[HEIGHT] > other[2] and near[SEMI_A] < LARGEST_LEANING * spot[SEMI_A]:
+                    other[0], other[1], other[2], other[3] = near[X], near[Y], near[HEIGHT], near[SEMI_A]
+            step += direction
+    return count
+
+
+@njit(cache=True, nogil=True)
+def refine_centres(image, spots, estimator, centres, covariances):  # type: ignore[no-untyped-def]
+    """Fill ``centres`` (n, 2) px and ``covariances`` (n, 3) xx, xy, yy px^2 of the rows of the spot table.
+
+    Rejected spots keep the coarse centre of the table, with covariance 0. Spots that other light leans on get their
+    SHOULDER set and their covariance widened by it.
+    """
+    n = spots.shape[0]
+    order = np.argsort(spots[:, X])
+    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.empty(6)
+    widest = 0.0
+    for k in range(n):
+        widest = max(widest, spots[k, SEMI_A])
+    for place in range(n):
+        k = order[place]
+        spot = spots[k]
+        centres[k, 0], centres[k, 1] = spot[X], spot[Y]
+        covariances[k, :] = 0.0
+        if spot[FATE] != UNEXPLAINED:
+            continue
+        count = _neighbours_of(spots, order, place, widest, neighbours, other)
+        if estimator == 0:
+            fit_edge_model(image, spot, neighbours[:count], BLUR_PX, GAIN, ITERATIONS, out)
+        else:
+            fit_grey_square(image, spot, neighbours[:count], GAIN, out)
+        if out[5] > ONE_SIDED or other[2] > 0.0:
+            spot[SHOULDER] = max(spot[SHOULDER], UNEXPLAINED_LIGHT_PX)
+        centres[k, 0], centres[k, 1] = out[0], out[1]
+        # Light that pulls the foot of the profile pulls the fitted centre about as far.
+        covariances[k, 0] = out[2] + spot[SHOULDER] ** 2
+        covariances[k, 1] = out[3]
+        covariances[k, 2] = out[4] + spot[SHOULDER] ** 2
+
+
+@njit(cache=True, nogil=True)
+def refine_leaning(image, spots, rows, centres, covariances):  # type: ignore[no-untyped-def]
+    """Centre the spots of ``rows`` that other light leans on anew, together with that light.
+
+    ``centres`` and ``covariances`` as `refine_centres` left them are changed where the fit succeeds; returns how
+    many were.
+    """
+    changed = 0
+    order = np.argsort(spots[:, X])
+    places = np.empty(spots.shape[0], np.int64)
+    widest = 0.0
+    for place in range(order.shape[0]):
+        places[order[place]] = place
+        widest = max(widest, spots[place, SEMI_A])
+    neighbours, apart = np.empty((MOST_NEIGHBOURS, 3)), np.empty((MOST_NEIGHBOURS, 3))
+    other, out = np.empty(4), np.empty(6)
+    for k in rows:
+        spot = spots[k]
+        if spot[SHOULDER] == 0.0:
+            continue
+        count = _neighbours_of(spots, order, places[k], widest, neighbours, other)
+        n_apart = 0
+        for i in range(count):
+            if neighbours[i, 0] != other[0] or neighbours[i, 1] != other[1]:
+                apart[n_apart] = neighbours[i]
+                n_apart += 1
+        if fit_leaning(image, spot, other, apart[:n_apart], BLUR_PX, GAIN, out):
+            centres[k, 0], centres[k, 1] = out[0], out[1]
+            covariances[k, 0] = out[2] + LEANING_ERROR_PX**2
+            covariances[k, 1] = out[3]
+            covariances[k, 2] = out[4] + LEANING_ERROR_PX**2
+            changed += 1
+    return changed

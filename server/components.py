@@ -1,0 +1,145 @@
+"""Connected components of the pixels above their seed threshold, touching only the hot places of the frame.
+
+One pass over the frame marks, per block of eight rows, the columns in which any pixel exceeds its threshold (the
+compiler turns it into SIMD code that runs at memory speed). Only marked columns are looked at again, row by row, as
+runs that are joined to components (8-neighbourhood) by union-find.
+"""
+
+import numpy as np
+from numba import njit
+
+from asterism.server.background import BLOCK_ROWS
+
+# Columns of the component table.
+X0, X1, Y0, Y1, AREA, PEAK, SATURATED = range(7)  # X1 and Y1 exclusive
+COMPONENT_COLUMNS = 7
+
+
+@njit(cache=True, nogil=True)
+def mark_hot_columns(image, thresholds, hot):  # type: ignore[no-untyped-def]
+    """Set ``hot`` (blocks, w) uint8 where a block of rows has a pixel above its threshold."""
+    height, width = image.shape
+    for block in range(thresholds.shape[0]):
+        limit = thresholds[block]
+        mark = hot[block]
+        mark[:] = 0
+        for y in range(block * BLOCK_ROWS, min((block + 1) * BLOCK_ROWS, height)):
+            row = image[y]
+            for x in range(width):
+                mark[x] |= row[x] > limit[x]
+
+
+@njit(cache=True, nogil=True)
+def _root(parent, k):  # type: ignore[no-untyped-def]
+    while parent[k] != k:
+        parent[k] = parent[parent[k]]
+        k = parent[k]
+    return k
+
+
+@njit(cache=True, nogil=True)
+def connect(image, thresholds, hot, runs, parent, table):  # type: ignore[no-untyped-def]
+    """Fill ``table`` (capacity, COMPONENT_COLUMNS) int32 with the components; return how many there are.
+
+    ``runs`` (capacity, 3) and ``parent`` (capacity,) are scratch. Returns -1 when a capacity does not suffice.
+    """
+    height, width = image.shape
+    count = 0
+    before, before_end, before_row = 0, 0, -2
+    segments = np.empty((width // 2 + 1, 2), np.int32)
+    words = width // 8
+    for block in range(thresholds.shape[0]):
+        mark = hot[block]
+        limit = thresholds[block]
+        n_segments = 0
+        x = 0
+        while x < width:
+            # Most of a block is cold: skip it eight columns at a time.
+            if x % 8 == 0 and x // 8 < words and not (
+                mark[x]
+                | mark[x + 1]
+                | mark[x + 2]
+                | mark[x + 3]
+                | mark[x + 4]
+                | mark[x + 5]
+                | mark[x + 6]
+                | mark[x + 7]
+            ):
+                x += 8
+                continue
+            if mark[x]:
+                start = x
+                while x < width and mark[x]:
+                    x += 1
+                segments[n_segments, 0] = start
+                segments[n_segments, 1] = x
+                n_segments += 1
+            else:
+                x += 1
+        if n_segments == 0:
+            continue
+        for y in range(block * BLOCK_ROWS, min((block + 1) * BLOCK_ROWS, height)):
+            row = image[y]
+            first = count
+            for s in range(n_segments):
+                start = -1
+                for x in range(segments[s, 0], segments[s, 1]):
+                    if row[x] > limit[x]:
+                        if start < 0:
+                            start = x
+                    elif start >= 0:
+                        if count == runs.shape[0]:
+                            return -1
+                        runs[count, 0], runs[count, 1], runs[count, 2] = y, start, x
+                        count += 1
+                        start = -1
+                if start >= 0:
+                    if count == runs.shape[0]:
+                        return -1
+                    runs[count, 0], runs[count, 1], runs[count, 2] = y, start, segments[s, 1]
+                    count += 1
+            if count == first:
+                continue
+            if before_row != y - 1:
+                before, before_end = first, first
+            above = before
+            for k in range(first, count):
+                parent[k] = k
+                while above < before_end and runs[above, 2] < runs[k, 1]:
+                    above += 1
+                other = above
+                while other < before_end and runs[other, 1] <= runs[k, 2]:
+                    a, b = _root(parent, k), _root(parent, other)
+                    if a < b:
+                        parent[b] = a
+                    else:
+                        parent[a] = b
+                    other += 1
+                # The last run that touched may touch the next run of this row as well.
+                above = max(above, other - 1)
+            before, before_end, before_row = first, count, y
+    components = 0
+    for k in range(count):
+        root = _root(parent, k)
+        y, start, end = runs[k, 0], runs[k, 1], runs[k, 2]
+        if root == k:
+            if components == table.shape[0]:
+                return -1
+            entry = table[components]
+            entry[X0], entry[X1], entry[Y0], entry[Y1] = width, 0, y, y + 1
+            entry[AREA] = entry[PEAK] = entry[SATURATED] = 0
+            # The root comes before every other run of its component: reuse its slot for the component's number.
+            runs[k, 0] = -1 - components
+            components += 1
+            entry = table[components - 1]
+        else:
+            entry = table[-1 - runs[root, 0]]
+        entry[X0] = min(entry[X0], start)
+        entry[X1] = max(entry[X1], end)
+        entry[Y1] = max(entry[Y1], y + 1)
+        entry[AREA] += end - start
+        for x in range(start, end):
+            value = image[y, x]
+            entry[PEAK] = max(entry[PEAK], value)
+            entry[SATURATED] += value == 255
+    return components

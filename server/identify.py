@@ -1,0 +1,213 @@
+"""Who is who: warm where robots were a moment ago, cold for the rest, doubts kept as doubts."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from asterism.protocol.geometry import Floats
+from asterism.server import assign
+from asterism.server.blobs import Blobs, Ints
+from asterism.server.follow import follow, gate_px, gather_missing
+from asterism.server.plan import MOST_TILT, Plan
+from asterism.server.planar import NO_SOLUTION
+from asterism.server.search import COST, LEDS, ROBOT, SYSTEMATIC_PX, refit_versions, search
+from asterism.server.track import Prediction, Track
+
+WIDEST_GATE = 0.25  # of a constellation's image; beyond that a prediction is no help
+GATHER_PX = 1.5  # a found robot's missing LED is looked for this near to its place
+PRIOR_SYSTEMATIC_PX = 0.08  # what to expect of calibration and LED positions before a robot was seen
+MOST_CLAIMS, MOST_PENDING = 256, 1024
+
+
+@dataclass(slots=True, eq=False)
+class Matches:
+    """Robots with their spots: row i of every array is the same robot.
+
+    ``robots`` (m,) indices into the rig; ``assignment`` (m, 6) rows of the frame's blobs, -1 for LEDs not seen;
+    ``rotations`` (m, 3, 3), ``ts`` (m, 3) T_camera_plane; ``is_warm`` (m,). ``doubts`` says why a robot that is not
+    among them is ambiguous.
+    """
+
+    robots: Ints
+    assignment: Ints
+    rotations: Floats
+    ts: Floats
+    is_warm: np.ndarray
+    doubts: dict[int, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rays:
+    """The kept spots as the matching sees them; row i is blob ``rows[i]``."""
+
+    rows: Ints
+    flat: Floats  # (n, 2) ideal px about the principal point, y up
+    rays: Floats  # (n, 2) x / z, y / z
+    covariances: Floats  # (n, 3) of the rays
+    variances: Floats  # (n,) of the rays, mean of both axes
+    heights: Floats  # (n,)
+    radii: Floats  # (n,) px
+
+
+def rays_of(blobs: Blobs, rows: Ints, rays: Floats, covariances: Floats, focal: float) -> Rays:
+    """Collect what the matching needs of the kept spots."""
+    flat = rays * np.array([focal, -focal])
+    variances = 0.5 * (covariances[:, 0] + covariances[:, 2])
+    return Rays(rows, flat, rays, covariances, variances, blobs.heights[rows], blobs.radii_px[rows])
+
+
+def identify(seen: Rays, plan: Plan, predictions: dict[int, tuple[Track, Prediction]]) -> Matches:
+    """Match spots to robots. ``predictions`` by robot index; the rest is searched cold."""
+    n_robots = len(plan.layouts)
+    free = np.ones(len(seen.rows), np.bool_)
+    robots: list[int] = []
+    assignments, rotations, ts, warm = [], [], [], []
+    doubts: dict[int, str] = {}
+    if predictions:
+        found = _follow(seen, free, plan, predictions)
+        for robot, spots, rotation, t in found:
+            robots.append(robot)
+            assignments.append(spots)
+            rotations.append(rotation)
+            ts.append(t)
+            warm.append(True)
+    if len(robots) < n_robots and int(free.sum()) >= 5:
+        claimed = np.zeros(n_robots, np.bool_)
+        brightness = np.zeros(n_robots)
+        for robot, spots in zip(robots, assignments, strict=True):
+            claimed[robot] = True
+            brightness[robot] = float(np.median(seen.heights[spots[spots >= 0]])) / assign.MIRROR_RATIO**2
+        cold = _search(seen, free, plan, claimed, brightness)
+        for robot, spots, rotation, t in cold[0]:
+            robots.append(robot)
+            assignments.append(spots)
+            rotations.append(rotation)
+            ts.append(t)
+            warm.append(False)
+        doubts = cold[1]
+    matches = Matches(
+        np.array(robots, np.int64),
+        np.array(assignments, np.int64).reshape(-1, LEDS),
+        np.array(rotations).reshape(-1, 3, 3),
+        np.array(ts).reshape(-1, 3),
+        np.array(warm, np.bool_),
+        doubts,
+    )
+    return matches
+
+
+Found = tuple[int, Ints, Floats, Floats]
+
+
+def _follow(
+    seen: Rays, free: np.ndarray, plan: Plan, predictions: dict[int, tuple[Track, Prediction]]
+) -> list[Found]:
+    """Warm matching of the robots whose prediction is good enough."""
+    usable = []
+    for robot, (track, prediction) in predictions.items():
+        depth = float(prediction.t[2])
+        if depth <= 0.0:
+            continue
+        extent = float(plan.extents[robot])
+        gate = gate_px(prediction.position_sigma, prediction.rotation_sigma, extent, plan.focal, depth)
+        if gate <= WIDEST_GATE * extent * plan.focal / depth:
+            usable.append((robot, track, prediction, gate))
+    if not usable:
+        return []
+    index = np.array([entry[0] for entry in usable])
+    rotations = np.array([entry[2].rotation for entry in usable])
+    ts = np.array([entry[2].t for entry in usable])
+    gates = np.array([entry[3] for entry in usable])
+    heights = np.array([entry[1].height for entry in usable])
+    assignment = np.full((len(usable), LEDS), -1)
+    costs = np.empty(len(usable))
+    layouts = plan.layouts[index]
+    follow(
+        seen.flat, seen.rays, seen.variances, seen.heights, free, layouts, rotations, ts, gates, heights,
+        plan.focal, assignment, costs,
+    )  # fmt: skip
+    gather_missing(
+        seen.flat, seen.rays, seen.heights, free, layouts, rotations, ts, costs, heights, plan.focal, GATHER_PX,
+        assignment,
+    )  # fmt: skip
+    return [
+        (int(index[k]), assignment[k], rotations[k], ts[k])
+        for k in range(len(usable))
+        if costs[k] < NO_SOLUTION
+    ]
+
+
+def _search(
+    seen: Rays, free: np.ndarray, plan: Plan, claimed: np.ndarray, brightness: Floats
+) -> tuple[list[Found], dict[int, str]]:
+    """Cold search and global assignment."""
+    known = claimed.copy()
+    claims = np.empty((MOST_CLAIMS, LEDS), np.int64)
+    pending = np.empty((MOST_PENDING, LEDS), np.int64)
+    claim_values, pending_values = np.empty((MOST_CLAIMS, 4)), np.empty((MOST_PENDING, 4))
+    claim_rotations, pending_rotations = np.empty((MOST_CLAIMS, 3, 3)), np.empty((MOST_PENDING, 3, 3))
+    claim_ts, pending_ts = np.empty((MOST_CLAIMS, 3)), np.empty((MOST_PENDING, 3))
+    n_claims, n_pending, _ = search(
+        seen.flat, seen.rays, seen.variances, seen.heights, free, plan.layouts, plan.separations, claimed, brightness,
+        plan.convex, plan.concave, plan.focal, plan.near, plan.far, MOST_TILT, plan.reach_px,
+        claims, claim_values, claim_rotations, claim_ts, pending, pending_values, pending_rotations, pending_ts,
+    )  # fmt: skip
+    sigma = assign.systematic_sigma(claim_values[:n_claims, COST], SYSTEMATIC_PX, PRIOR_SYSTEMATIC_PX)
+    wanted = int((~known).sum())
+    claim_of = {int(claim_values[k, ROBOT]): k for k in range(n_claims)}
+    taken = set(claims[:n_claims].ravel().tolist())
+    hypotheses: list[assign.Hypothesis] = []
+    disputed: set[int] = set()
+    for k in range(n_pending):
+        robot = int(pending_values[k, ROBOT])
+        # Spots of a robot that was found beyond doubt are no evidence for another, nor for another place of its own.
+        if known[robot] or taken & set(pending[k].tolist()):
+            continue
+        hypotheses += _versions(robot, pending[k], sigma, seen, free, plan, wanted)
+        if robot in claim_of:
+            disputed.add(robot)
+    for robot in disputed:
+        hypotheses += _versions(robot, claims[claim_of[robot]], sigma, seen, free, plan, wanted)
+    chosen, doubts = assign.assign(hypotheses)
+    found = [(h.robot, np.array(h.spots), h.rotation, h.t) for h in chosen]
+    for robot, k in claim_of.items():
+        if robot not in disputed:
+            found.append((robot, claims[k], claim_rotations[k], claim_ts[k]))
+    return found, doubts
+
+
+def _versions(
+    robot: int, spots: Ints, sigma_px: float, seen: Rays, free: np.ndarray, plan: Plan, wanted: int
+) -> list[assign.Hypothesis]:
+    """Score a fit, and what it is without each of its LEDs: one of them may be somebody else's light.
+
+    How many spots of like brightness lie around decides how easily chance makes such a fit.
+    """
+    versions, costs = np.empty((1 + LEDS, LEDS), np.int64), np.empty(1 + LEDS)
+    rotations, ts = np.empty((1 + LEDS, 3, 3)), np.empty((1 + LEDS, 3))
+    count = refit_versions(
+        plan.layouts[robot], spots, seen.rays, seen.variances, (sigma_px / plan.focal) ** 2, versions, costs, rotations, ts
+    )  # fmt: skip
+    scored = []
+    for k in range(count):
+        if costs[k] >= NO_SOLUTION:
+            continue
+        visible = versions[k][versions[k] >= 0]
+        heights = seen.heights[visible]
+        height = float(np.median(heights))
+        radius = 0.75 * float(plan.extents[robot]) * plan.focal / float(ts[k, 2])
+        middle = seen.flat[visible].mean(axis=0)
+        like = (seen.heights > 0.4 * height) & (seen.heights < 2.5 * height) & free
+        like &= np.hypot(seen.flat[:, 0] - middle[0], seen.flat[:, 1] - middle[1]) < radius
+        value = assign.score(
+            float(costs[k]),
+            sigma_px**2 + seen.variances[visible] * plan.focal**2,
+            heights,
+            seen.radii[visible],
+            int(like.sum()),
+            math.pi * radius * radius,
+            wanted,
+        )
+        scored.append(assign.Hypothesis(robot, tuple(versions[k].tolist()), height, value, rotations[k], ts[k]))
+    return [max(scored, key=lambda h: h.score)] if scored else []

@@ -1,0 +1,268 @@
+"""From labelled spots to a pose: both minima of the plane refined, the likelier chosen, both kept with their odds.
+
+Covariances are those of the spots carried through the refined pose; where the residuals are larger than the spots'
+own noise allows (calibration, LED positions), what is missing is estimated from them and added to every spot first.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from asterism.protocol.geometry import Floats, Pose
+from asterism.server.lens import FX, FY, project_point
+from asterism.server.planar import (
+    NO_SOLUTION,
+    cholesky_solve,
+    normal_equations,
+    other_minimum,
+    refine_pose,
+    solve_both,
+)
+from asterism.server.search import LEDS
+
+ITERATIONS = 12
+ODD = 10.0  # how many times worse six LEDs fit than five before the sixth is left out
+LEAST_SIGMA_PX = 0.001  # no centre is known better than this
+# 99.9 % of chi squared for 2, 4 and 6 degrees of freedom: beyond it the spots' noise is not the whole story.
+_SURPRISE = np.array([0.0, 0.0, 0.0, 0.0, 13.8, 18.5, 22.5])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alternative:
+    """The other pose that explains the spots, in the same frame, and how many times less likely it is."""
+
+    pose: Pose
+    odds: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseEstimate:
+    """A robot's pose in one frame.
+
+    ``pose`` is T_world_robot (T_camera_robot where the rig places no camera), ``covariance`` (6, 6) in m and rad: x, y,
+    z, rotation about x, y, z of the parent frame. ``leds`` (k,) are the LEDs it rests on, ``spots`` (k,) the rows of
+    the frame's blobs they are, ``residuals_px`` (k, 2) observed minus predicted.
+    """
+
+    pose: Pose
+    covariance: Floats
+    leds: tuple[int, ...]
+    spots: tuple[int, ...]
+    residuals_px: Floats
+    rms_px: float
+    alternative: Alternative | None
+
+    @property
+    def state(self) -> str:
+        """TRACKED or TILT_AMBIGUOUS."""
+        return "TRACKED" if self.alternative is None else "TILT_AMBIGUOUS"
+
+
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """A robot that has no pose in this frame, and why. ``state`` is LOST or IDENTITY_AMBIGUOUS."""
+
+    reason: str
+    state: str = "LOST"
+
+
+@njit(cache=True, nogil=True)
+def _gather(layout, spots, rays, ray_covariances, extra, focal, points, seen, information, centre):  # type: ignore[no-untyped-def]
+    """Points centred on their mean, rays and information of the visible LEDs; returns their count."""
+    count = 0
+    centre[:] = 0.0
+    floor = (LEAST_SIGMA_PX / focal) ** 2
+    for led in range(LEDS):
+        spot = spots[led]
+        if spot < 0:
+            continue
+        points[count] = layout[led]
+        centre += layout[led]
+        seen[count] = rays[spot]
+        xx, xy = ray_covariances[spot, 0] + floor + extra, ray_covariances[spot, 1]
+        yy = ray_covariances[spot, 2] + floor + extra
+        det = xx * yy - xy * xy
+        information[count, 0], information[count, 1], information[count, 2] = yy / det, -xy / det, xx / det
+        count += 1
+    centre /= count
+    for k in range(count):
+        points[k] -= centre
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _squared_residuals(rotation, t, points, seen):  # type: ignore[no-untyped-def]
+    """Sum of the squared residuals, ray units."""
+    total = 0.0
+    for k in range(points.shape[0]):
+        x, y, z = t[0], t[1], t[2]
+        for j in range(3):
+            x += rotation[0, j] * points[k, j]
+            y += rotation[1, j] * points[k, j]
+            z += rotation[2, j] * points[k, j]
+        total += (seen[k, 0] - x / z) ** 2 + (seen[k, 1] - y / z) ** 2
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _odd_led(layout, spots, rays, ray_covariances, start_rotation, start_t, focal):  # type: ignore[no-untyped-def]
+    """The LED of six whose spot is not where the other five say, or -1: other light may have moved it."""
+    points, seen, information = np.empty((LEDS, 3)), np.empty((LEDS, 2)), np.empty((LEDS, 3))
+    centre, rotation, t = np.empty(3), np.empty((3, 3)), np.empty(3)
+    trial = np.empty(LEDS, np.int64)
+    best_led, best_cost, whole_cost = -1, NO_SOLUTION, NO_SOLUTION
+    for without in range(-1, LEDS):
+        trial[:] = spots
+        if without >= 0:
+            trial[without] = -1
+        count = _gather(layout, trial, rays, ray_covariances, 0.0, focal, points, seen, information, centre)
+        if without < 0 and count < LEDS:
+            return -1
+        rotation[:, :] = start_rotation
+        for i in range(3):
+            t[i] = start_t[i]
+            for j in range(3):
+                t[i] += start_rotation[i, j] * centre[j]
+        cost = refine_pose(rotation, t, points[:count], seen[:count], information[:count], 5)
+        if without < 0:
+            if cost <= _SURPRISE[LEDS]:
+                return -1
+            whole_cost = cost
+        elif cost < best_cost:
+            best_led, best_cost = without, cost
+    # Compared per degree of freedom: six LEDs leave six, five leave four.
+    return best_led if ODD * best_cost / 4.0 < whole_cost / 6.0 else -1
+
+
+@njit(cache=True, nogil=True)
+def solve_robots(  # type: ignore[no-untyped-def]
+    layouts, assignment, rays, ray_covariances, centres, start_rotations, start_ts, is_warm, lens,
+    rotations, ts, costs, covariances, residuals,
+):  # fmt: skip
+    """Solve every matched robot.
+
+    ``layouts`` (m, 6, 3) m; ``assignment`` (m, 6) spots or -1, changed where one of six spots turns out to be odd; ``rays`` (n, 2), ``ray_covariances`` (n, 3) and
+    ``centres`` (n, 2) px of the spots; ``start_rotations`` (m, 3, 3), ``start_ts`` (m, 3) from the matching, of use
+    where ``is_warm`` (m,); ``lens`` as in `lens`.
+
+    Fills, for both minima of every robot, ``rotations`` (m, 2, 3, 3) and ``ts`` (m, 2, 3) = T_camera_plane,
+    ``costs`` (m, 2) (chi squared; NO_SOLUTION where there is none or it faces away), ``covariances`` (m, 2, 6, 6) of
+    the plane's origin (m) and rotation about the camera's axes (rad), ``residuals`` (m, 2, 6, 2) px.
+    """
+    points, seen, information = np.empty((LEDS, 3)), np.empty((LEDS, 2)), np.empty((LEDS, 3))
+    centre, a, b = np.empty(3), np.empty((6, 6)), np.empty(6)
+    focal = math.sqrt(lens[FX] * lens[FY])
+    for robot in range(layouts.shape[0]):
+        layout, spots = layouts[robot], assignment[robot]
+        both, both_t, both_costs = rotations[robot], ts[robot], costs[robot]
+        both_costs[:] = NO_SOLUTION
+        extra = 0.0
+        without = _odd_led(layout, spots, rays, ray_covariances, start_rotations[robot], start_ts[robot], focal)
+        if without >= 0:
+            spots[without] = -1
+        for attempt in range(2):
+            count = _gather(
+                layout, spots, rays, ray_covariances, extra, focal, points, seen, information, centre
+            )
+            p, s, w = points[:count], seen[:count], information[:count]
+            if attempt == 1:
+                for which in range(2):
+                    if both_costs[which] < NO_SOLUTION:
+                        both_costs[which] = refine_pose(both[which], both_t[which], p, s, w, ITERATIONS)
+            elif is_warm[robot]:
+                both[0] = start_rotations[robot]
+                for i in range(3):
+                    both_t[0, i] = start_ts[robot, i]
+                    for j in range(3):
+                        both_t[0, i] += start_rotations[robot, i, j] * centre[j]
+                both_costs[0] = refine_pose(both[0], both_t[0], p, s, w, ITERATIONS)
+                if other_minimum(both[0], both_t[0], p, s, both[1], both_t[1]) and both_t[1, 2] > 0.0:
+                    both_costs[1] = refine_pose(both[1], both_t[1], p, s, w, ITERATIONS)
+            else:
+                solve_both(p, s, w, ITERATIONS, True, both, both_t, both_costs)
+            better = 0 if both_costs[0] <= both_costs[1] else 1
+            if attempt == 1 or both_costs[better] <= _SURPRISE[count] or both_costs[better] >= NO_SOLUTION:
+                break
+            # Residuals beyond the spots' noise: whatever causes them counts as noise of every spot.
+            extra = _squared_residuals(both[better], both_t[better], p, s) / (2 * count - 6)
+        for which in range(2):
+            rotation, t = both[which], both_t[which]
+            towards = 0.0
+            for i in range(3):
+                towards += rotation[i, 2] * t[i]
+            if both_costs[which] >= NO_SOLUTION or towards >= 0.0:
+                both_costs[which] = NO_SOLUTION
+                continue
+            normal_equations(rotation, t, p, s, w, a, b)
+            _invert(a, covariances[robot, which])
+            # From the visible LEDs' mean back to the plane's origin: t -= R centre, with the rotation's share.
+            q = rotation @ centre
+            for i in range(3):
+                t[i] -= q[i]
+            _move_origin(covariances[robot, which], -q)
+            for led in range(LEDS):
+                residuals[robot, which, led, :] = 0.0
+                if spots[led] >= 0:
+                    x, y, z = t[0], t[1], t[2]
+                    for j in range(3):
+                        x += rotation[0, j] * layout[led, j]
+                        y += rotation[1, j] * layout[led, j]
+                        z += rotation[2, j] * layout[led, j]
+                    px, py = project_point(lens, x, y, z)
+                    residuals[robot, which, led, 0] = centres[spots[led], 0] - px
+                    residuals[robot, which, led, 1] = centres[spots[led], 1] - py
+
+
+@njit(cache=True, nogil=True)
+def _invert(a, out):  # type: ignore[no-untyped-def]
+    """Inverse (6, 6) of the symmetric matrix whose lower triangle ``a`` holds; huge where it is singular."""
+    column = np.empty(6)
+    work = np.empty((6, 6))
+    for j in range(6):
+        work[:, :] = a
+        column[:] = 0.0
+        column[j] = 1.0
+        if not cholesky_solve(work, column):
+            out[:, :] = 0.0
+            for k in range(6):
+                out[k, k] = 1e6
+            return
+        out[:, j] = column
+
+
+@njit(cache=True, nogil=True)
+def _move_origin(covariance, arm):  # type: ignore[no-untyped-def]
+    """Covariance (6, 6) of pose, translation first, when its origin moves by ``arm`` (3,), in the parent's axes."""
+    # dt' = dt + w x arm
+    j = np.eye(6)
+    j[0, 4], j[0, 5] = arm[2], -arm[1]
+    j[1, 3], j[1, 5] = -arm[2], arm[0]
+    j[2, 3], j[2, 4] = arm[1], -arm[0]
+    covariance[:, :] = j @ covariance @ j.T
+
+
+def parent_pose(
+    T_parent_camera: Pose | None, T_robot_plane: Pose, rotation: Floats, t: Floats, covariance: Floats
+) -> tuple[Pose, Floats]:
+    """T_parent_robot and its covariance (6, 6) from T_camera_plane (rotation, t) and the plane's covariance."""
+    turn = rotation @ T_robot_plane.rotation.T  # R_camera_robot
+    arm = -turn @ T_robot_plane.position  # the robot's origin, seen from the plane's
+    moved = covariance.copy()
+    _move_origin(moved, arm)
+    position = t + arm
+    if T_parent_camera is not None:
+        view = T_parent_camera.rotation
+        turn = view @ turn
+        position = view @ position + T_parent_camera.position
+        both = np.zeros((6, 6))
+        both[:3, :3] = both[3:, 3:] = view
+        moved = both @ moved @ both.T
+    return Pose.from_matrix(turn, position), 0.5 * (moved + moved.T)
+
+
+def axis_angle_cost(direction: Floats, wanted: Floats, within_rad: float, sigma_rad: float) -> float:
+    """Squared sigmas by which a direction (3,) leaves the cone around a wanted one (3,), both unit vectors."""
+    off = math.acos(min(max(float(direction @ wanted), -1.0), 1.0)) - within_rad
+    return (off / sigma_rad) ** 2 if off > 0.0 else 0.0

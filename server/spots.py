@@ -1,0 +1,468 @@
+"""From a connected component to the spots of light in it: split, local background, shape, verdict.
+
+A component is split where it has several peaks of their own (a watershed in descending grey levels in which peaks
+of little prominence are joined to their neighbour), so a lamp, a glint or a dim mirror image that touches an LED does
+not take the LED with it. Every spot is then judged against its own surroundings: a plane through the ring around it
+is its background, half its height above that its local threshold.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from asterism.protocol.messages import Fate
+from asterism.server.background import interpolate
+from asterism.server.components import AREA, PEAK, SATURATED, X0, X1, Y0, Y1
+
+# Columns of the spot table: centre, semi-axes and angle of the ellipse (px, rad), height above the local background,
+# the background's level at the centre and its slopes (grey levels, per px), its noise, the share of the spot's
+# pixels that are saturated, the window (px, exclusive ends), the fate, and, where other light leans on the spot, how
+# far, in px, that pulls the foot of its profile away from the upper part (else 0), and whether the spot was split
+# from others.
+(
+    X,
+    Y,
+    SEMI_A,
+    SEMI_B,
+    ANGLE,
+    HEIGHT,
+    LEVEL,
+    SLOPE_X,
+    SLOPE_Y,
+    NOISE,
+    SATURATED_SHARE,
+    WX0,
+    WX1,
+    WY0,
+    WY1,
+    FATE,
+    SHOULDER,
+    TOUCHING,
+) = range(18)
+SPOT_COLUMNS = 18
+
+# The verdicts, as plain integers for the compiled code.
+UNEXPLAINED = int(Fate.UNEXPLAINED)
+TOO_SMALL = int(Fate.TOO_SMALL)
+TOO_LARGE = int(Fate.TOO_LARGE)
+ELONGATED = int(Fate.ELONGATED)
+AT_EDGE = int(Fate.AT_EDGE)
+MASKED = int(Fate.MASKED)
+TOO_FAINT = int(Fate.TOO_FAINT)
+MISSHAPEN = int(Fate.MISSHAPEN)
+
+MARGIN_PX = 3  # of the window around a spot; the ring of its outermost pixels shows the background
+LARGEST_COMPONENT_PX = 40_000  # beyond that a component is a patch of glare: not worth splitting
+SMALLEST_AREA_PX = 3
+LARGEST_ASPECT = 2.6  # a disc seen at 65 degrees
+PEAK_SHARE = 0.55  # a single pixel with more of a spot's light than this is a hot pixel: no lens is that sharp
+PROMINENCE = 0.12  # a peak that stands out less, as a share of its height, belongs to its neighbour
+CLIP = (0.12, 0.7)  # the part of a spot's profile that its shape is taken from
+BLUR_PX2 = 0.92  # what blur (sigma 0.7 px) and pixels add to the second moments of the clipped profile, times four
+UPPER_CLIP = (0.45, 0.85)  # the same where a shoulder of other light is suspected
+UPPER_INSET_PX = 0.33  # how far inside the disc's edge that upper part lies
+SHOULDER_PX = 0.05  # a centre that moves more between the whole profile and its upper part has other light beside it
+
+
+@njit(cache=True, nogil=True)
+def _solve3(m00, m01, m02, m11, m12, m22, r0, r1, r2):  # type: ignore[no-untyped-def]
+    """Solution of a symmetric 3x3 system by Cramer's rule; zeros when it is singular."""
+    c00 = m11 * m22 - m12 * m12
+    c01 = m02 * m12 - m01 * m22
+    c02 = m01 * m12 - m02 * m11
+    det = m00 * c00 + m01 * c01 + m02 * c02
+    if not det > 1e-9 * abs(m00 * m11 * m22):
+        return 0.0, 0.0, 0.0, False
+    c11 = m00 * m22 - m02 * m02
+    c12 = m01 * m02 - m00 * m12
+    c22 = m00 * m11 - m01 * m01
+    return (
+        (c00 * r0 + c01 * r1 + c02 * r2) / det,
+        (c01 * r0 + c11 * r1 + c12 * r2) / det,
+        (c02 * r0 + c12 * r1 + c22 * r2) / det,
+        True,
+    )
+
+
+@njit(cache=True, nogil=True)
+def _ring_background(image, x0, x1, y0, y1, guess, noise, rise):  # type: ignore[no-untyped-def]
+    """Plane through the outermost pixels of the window: level at its centre, slopes, and whether enough were free.
+
+    Pixels that belong to something bright (``rise`` above the ``guess``, later beyond three sigma of the plane) are
+    left out. Source: least squares; the second fit drops the outliers of the first.
+    """
+    cx, cy = 0.5 * (x0 + x1 - 1), 0.5 * (y0 + y1 - 1)
+    level, slope_x, slope_y = guess, 0.0, 0.0
+    fitted = False
+    for attempt in range(2):
+        n = sx = sy = sxx = sxy = syy = sz = sxz = syz = 0.0
+        limit = rise if attempt == 0 else 3.0 * noise + 1.0
+        for y in range(y0, y1):
+            step = 1 if y == y0 or y == y1 - 1 else x1 - x0 - 1
+            for x in range(x0, x1, step):
+                u, v, z = x - cx, y - cy, float(image[y, x])
+                off = z - (level + slope_x * u + slope_y * v)
+                if off > limit or (attempt == 1 and off < -limit):
+                    continue
+                n += 1.0
+                sx += u
+                sy += v
+                sxx += u * u
+                sxy += u * v
+                syy += v * v
+                sz += z
+                sxz += u * z
+                syz += v * z
+        if n < 8:
+            break
+        a, b, c, solved = _solve3(n, sx, sy, sxx, sxy, syy, sz, sxz, syz)
+        if not solved:
+            break
+        level, slope_x, slope_y = a, b, c
+        fitted = True
+    return level, slope_x, slope_y, fitted
+
+
+@njit(cache=True, nogil=True)
+def watershed(image, thresholds_row, x0, x1, y0, y1, base, noise, labels, regions):  # type: ignore[no-untyped-def]
+    """Split the pixels above the seed threshold in a window into regions, one for every prominent peak.
+
+    ``labels`` (cells,) int32 is filled with region numbers (-1 outside); ``regions`` (capacity, 4) float64 with
+    peak, the level at which it meets a higher one (its saddle; -1 if it never does), the region it was joined to
+    (itself if it stands alone), and the higher region it met (itself if none). Returns the number of regions, joined
+    ones included.
+    """
+    width, height = x1 - x0, y1 - y0
+    cells = width * height
+    counts = np.zeros(257, np.int32)
+    for y in range(height):
+        limit = thresholds_row[(y + y0) // 8]
+        for x in range(width):
+            labels[y * width + x] = -1
+            value = image[y + y0, x + x0]
+            if value > limit[x + x0]:
+                counts[255 - value + 1] += 1
+    for k in range(256):
+        counts[k + 1] += counts[k]
+    order = np.empty(max(counts[256], 1), np.int32)
+    total = counts[256]
+    for y in range(height):
+        limit = thresholds_row[(y + y0) // 8]
+        for x in range(width):
+            value = image[y + y0, x + x0]
+            if value > limit[x + x0]:
+                order[counts[255 - value]] = y * width + x
+                counts[255 - value] += 1
+    count = 0
+    for k in range(total):
+        cell = order[k]
+        cy, cx = cell // width, cell % width
+        value = float(image[cy + y0, cx + x0])
+        best = -1
+        best_value = -1.0
+        # First the brightest neighbour's region, then judge every other region that meets it here.
+        for ny in range(max(cy - 1, 0), min(cy + 2, height)):
+            for nx in range(max(cx - 1, 0), min(cx + 2, width)):
+                label = labels[ny * width + nx]
+                if label >= 0 and image[ny + y0, nx + x0] > best_value:
+                    best = label
+                    best_value = float(image[ny + y0, nx + x0])
+        if best < 0:
+            if count == regions.shape[0]:
+                continue
+            regions[count, 0], regions[count, 1] = value, -1.0
+            regions[count, 2] = regions[count, 3] = count
+            labels[cell] = count
+            count += 1
+            continue
+        mine = best
+        while int(regions[mine, 2]) != mine:
+            mine = int(regions[mine, 2])
+        for ny in range(max(cy - 1, 0), min(cy + 2, height)):
+            for nx in range(max(cx - 1, 0), min(cx + 2, width)):
+                other = labels[ny * width + nx]
+                if other < 0:
+                    continue
+                while int(regions[other, 2]) != other:
+                    other = int(regions[other, 2])
+                if other == mine:
+                    continue
+                low, high = max(other, mine), min(other, mine)  # regions are made in descending order of peak
+                if regions[low, 1] >= 0.0:
+                    continue  # judged before
+                rise = regions[low, 0] - base
+                if regions[low, 0] - value >= max(4.0 * noise, 3.0, PROMINENCE * rise):
+                    regions[low, 1] = value
+                    regions[low, 3] = high
+                else:
+                    regions[low, 2] = high
+                    mine = high if mine == low else mine
+        labels[cell] = mine
+    for cell in range(cells):
+        label = labels[cell]
+        if label >= 0:
+            while int(regions[label, 2]) != label:
+                label = int(regions[label, 2])
+            labels[cell] = label
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _ellipse(s, sx, sy, sxx, sxy, syy):  # type: ignore[no-untyped-def]
+    """Mean x, y, the larger and the smaller second moment, and the angle of the larger, from raw moments."""
+    mx, my = sx / s, sy / s
+    vxx, vxy, vyy = sxx / s - mx * mx, sxy / s - mx * my, syy / s - my * my
+    mean = 0.5 * (vxx + vyy)
+    half = math.sqrt((0.5 * (vxx - vyy)) ** 2 + vxy * vxy)
+    return mx, my, mean + half, max(mean - half, 0.0), 0.5 * math.atan2(2.0 * vxy, vxx - vyy)
+
+
+@njit(cache=True, nogil=True)
+def _shape(image, labels, label, x0, x1, y0, y1, spot):  # type: ignore[no-untyped-def]
+    """Centre and ellipse of a spot from the moments of its profile, clipped from below and above.
+
+    Only the pixels of ``label`` count (all pixels of the window if it is -1). Other light that leans on the spot
+    pulls the foot of the profile more than its upper part; where the two centres differ by more than noise explains,
+    the upper part alone gives the shape. Fills X, Y, SEMI_A, SEMI_B, ANGLE, HEIGHT, SHOULDER and SATURATED_SHARE;
+    returns the area at half height and the share of the light that the brightest pixel has.
+    """
+    width = x1 - x0
+    cx, cy = 0.5 * (x0 + x1 - 1), 0.5 * (y0 + y1 - 1)
+    first = second = third = 0.0
+    total = 0.0
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            if label >= 0 and labels[(y - y0) * width + x - x0] != label:
+                continue
+            z = float(image[y, x]) - (spot[LEVEL] + spot[SLOPE_X] * (x - cx) + spot[SLOPE_Y] * (y - cy))
+            total += max(z, 0.0)
+            if z > first:
+                first, second, third = z, first, second
+            elif z > second:
+                second, third = z, second
+            elif z > third:
+                third = z
+    height = (first + second + third) / 3.0
+    spot[HEIGHT] = height
+    low, high = CLIP[0] * height, CLIP[1] * height
+    upper_low, upper_high = UPPER_CLIP[0] * height, UPPER_CLIP[1] * height
+    s = sx = sy = sxx = sxy = syy = 0.0
+    t = tx = ty = txx = txy = tyy = 0.0
+    area, saturated = 0, 0
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            if label >= 0 and labels[(y - y0) * width + x - x0] != label:
+                continue
+            z = float(image[y, x]) - (spot[LEVEL] + spot[SLOPE_X] * (x - cx) + spot[SLOPE_Y] * (y - cy))
+            if z <= low:
+                continue
+            u, v = float(x - x0), float(y - y0)
+            q = min(z, high) - low
+            s += q
+            sx += q * u
+            sy += q * v
+            sxx += q * u * u
+            sxy += q * u * v
+            syy += q * v * v
+            if z > upper_low:
+                q = min(z, upper_high) - upper_low
+                t += q
+                tx += q * u
+                ty += q * v
+                txx += q * u * u
+                txy += q * u * v
+                tyy += q * v * v
+            if z > 0.5 * height:
+                area += 1
+                saturated += image[y, x] == 255
+    spot[SATURATED_SHARE] = saturated / max(area, 1)
+    spot[SHOULDER] = 0.0
+    if s <= 0.0 or t <= 0.0:
+        spot[X], spot[Y], spot[SEMI_A], spot[SEMI_B], spot[ANGLE] = cx, cy, 0.5, 0.5, 0.0
+        return area, 1.0
+    mx, my, large, small, angle = _ellipse(s, sx, sy, sxx, sxy, syy)
+    ux, uy, upper_large, upper_small, upper_angle = _ellipse(t, tx, ty, txx, txy, tyy)
+    shoulder = math.hypot(mx - ux, my - uy)
+    if shoulder > SHOULDER_PX + 2.5 * spot[NOISE] / height:
+        spot[SHOULDER] = shoulder
+        spot[X], spot[Y] = x0 + ux, y0 + uy
+        spot[SEMI_A] = math.sqrt(4.0 * upper_large) + UPPER_INSET_PX
+        spot[SEMI_B] = math.sqrt(4.0 * upper_small) + UPPER_INSET_PX
+        spot[ANGLE] = upper_angle
+    else:
+        spot[X], spot[Y] = x0 + mx, y0 + my
+        spot[SEMI_A] = math.sqrt(max(4.0 * large - BLUR_PX2, 0.16))
+        spot[SEMI_B] = math.sqrt(max(4.0 * small - BLUR_PX2, 0.16))
+        spot[ANGLE] = angle
+    return area, first / max(total, 1e-9)
+
+
+@njit(cache=True, nogil=True)
+def _judge(spot, area, peak_share, faintest, largest_radius):  # type: ignore[no-untyped-def]
+    """The fate of a measured spot."""
+    a, b = spot[SEMI_A], spot[SEMI_B]
+    if spot[HEIGHT] < faintest:
+        return TOO_FAINT
+    if area < 1 or peak_share > PEAK_SHARE:
+        return TOO_SMALL
+    if math.sqrt(area / math.pi) > largest_radius or a > 1.5 * largest_radius:
+        return TOO_LARGE
+    # Blur keeps small spots round: half a pixel on both axes, else noise would make slivers of them.
+    if a + 0.5 > LARGEST_ASPECT * (b + 0.5):
+        return ELONGATED
+    # A filled ellipse has the area that its moments say; a ragged or hollow spot has not.
+    expected = math.pi * (a + 0.3) * (b + 0.3)
+    if area < 0.5 * expected - 3.0:
+        return MISSHAPEN
+    return UNEXPLAINED
+
+
+@njit(cache=True, nogil=True)
+def _looks_single(component, spot, area):  # type: ignore[no-untyped-def]
+    """Whether the component is no larger than one spot of this shape makes it, so that no other hides in it."""
+    # The foot of a blurred disc lies at most this far outside its half-height line.
+    foot = 2.2
+    largest = math.pi * (spot[SEMI_A] + foot) * (spot[SEMI_B] + foot)
+    expected = math.pi * (spot[SEMI_A] + 0.3) * (spot[SEMI_B] + 0.3)
+    return (
+        component[AREA] <= largest + 3
+        and area >= 0.75 * expected - 2.0
+        and spot[SEMI_A] + 0.5 < 1.7 * (spot[SEMI_B] + 0.5)
+    )
+
+
+@njit(cache=True, nogil=True)
+def measure_spots(  # type: ignore[no-untyped-def]
+    image, thresholds, table, n_components, level, noise, sigmas, least, largest_radius, masks, spots
+):
+    """Fill ``spots`` (capacity, SPOT_COLUMNS) from ``n_components`` rows of ``table``; return how many there are.
+
+    ``level`` and ``noise`` are the background maps; ``sigmas`` and ``least`` say how far, in background sigmas and
+    grey levels, a spot must stand out; ``largest_radius`` px; ``masks`` (m, 4) x0, y0, x1, y1 px inclusive.
+    """
+    height, width = image.shape
+    labels = np.empty(0, np.int32)
+    regions = np.empty((512, 4))
+    nothing = np.empty(0, np.int32)
+    count = 0
+    for k in range(n_components):
+        component = table[k]
+        if count == spots.shape[0]:
+            break
+        spot = spots[count]
+        spot[:] = 0.0
+        x0, x1, y0, y1 = component[X0], component[X1], component[Y0], component[Y1]
+        cx, cy = 0.5 * (x0 + x1 - 1), 0.5 * (y0 + y1 - 1)
+        base = interpolate(level, cy, cx, height, width)
+        rough = interpolate(noise, cy, cx, height, width)
+        faintest = max(sigmas * rough, least)
+        spot[X], spot[Y], spot[LEVEL], spot[NOISE] = cx, cy, base, rough
+        spot[SEMI_A] = spot[SEMI_B] = math.sqrt(component[AREA] / math.pi)
+        spot[HEIGHT] = component[PEAK] - base
+        wx0, wx1 = max(x0 - MARGIN_PX, 0), min(x1 + MARGIN_PX, width)
+        wy0, wy1 = max(y0 - MARGIN_PX, 0), min(y1 + MARGIN_PX, height)
+        spot[WX0], spot[WX1], spot[WY0], spot[WY1] = wx0, wx1, wy0, wy1
+        fate = 0
+        if component[AREA] < SMALLEST_AREA_PX:
+            fate = TOO_SMALL
+        elif (x1 - x0) * (y1 - y0) > LARGEST_COMPONENT_PX:
+            fate = TOO_LARGE
+        elif x0 < 2 or y0 < 2 or x1 > width - 2 or y1 > height - 2:
+            fate = AT_EDGE
+        for m in range(masks.shape[0]):
+            if masks[m, 0] <= cx <= masks[m, 2] and masks[m, 1] <= cy <= masks[m, 3]:
+                fate = MASKED
+        if fate:
+            spot[FATE] = fate
+            count += 1
+            continue
+        spot[LEVEL], spot[SLOPE_X], spot[SLOPE_Y], _ = _ring_background(
+            image, wx0, wx1, wy0, wy1, base, rough, faintest
+        )
+        area, share = _shape(image, nothing, -1, wx0, wx1, wy0, wy1, spot)
+        if spot[SHOULDER] == 0.0 and _looks_single(component, spot, area):
+            spot[FATE] = _judge(spot, area, share, faintest, largest_radius)
+            count += 1
+            continue
+        cells = (wx1 - wx0) * (wy1 - wy0)
+        if labels.shape[0] < cells:
+            labels = np.empty(cells, np.int32)
+        n_regions = watershed(image, thresholds, wx0, wx1, wy0, wy1, base, rough, labels, regions)
+        _keep_group(labels[:cells], regions, n_regions, component)
+        count = _measure_regions(
+            image, labels, regions, n_regions, spot.copy(), faintest, largest_radius, spots, count
+        )
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _top(regions, region):  # type: ignore[no-untyped-def]
+    """The highest region of the connected group that a region belongs to."""
+    while True:
+        above = int(regions[region, 2])
+        if above == region:
+            above = int(regions[region, 3])
+        if above == region:
+            return region
+        region = above
+
+
+@njit(cache=True, nogil=True)
+def _keep_group(labels, regions, n_regions, component):  # type: ignore[no-untyped-def]
+    """Mark (-2) the pixels of other components that reach into the window; they are measured on their own."""
+    sizes = np.zeros(n_regions, np.int64)
+    for label in labels:
+        if label >= 0:
+            sizes[_top(regions, label)] += 1
+    mine = -1
+    for region in range(n_regions):
+        if sizes[region] == component[AREA] and regions[region, 0] == component[PEAK]:
+            mine = region
+            break
+    for cell in range(labels.shape[0]):
+        if labels[cell] >= 0 and _top(regions, labels[cell]) != mine:
+            labels[cell] = -2
+
+
+@njit(cache=True, nogil=True)
+def _measure_regions(  # type: ignore[no-untyped-def]
+    image, labels, regions, n_regions, whole, faintest, largest_radius, spots, count
+):
+    """Measure every region of a split component as a spot of its own; return the new number of spots."""
+    wx0, wx1, wy0, wy1 = int(whole[WX0]), int(whole[WX1]), int(whole[WY0]), int(whole[WY1])
+    width = wx1 - wx0
+    present = np.zeros(max(n_regions, 1), np.bool_)
+    for cell in range((wx1 - wx0) * (wy1 - wy0)):
+        if labels[cell] >= 0:
+            present[labels[cell]] = True
+    alone = np.count_nonzero(present)
+    for region in range(n_regions):
+        if not present[region] or count == spots.shape[0]:
+            continue
+        # The region's own window, and its ring, within the component's window.
+        x0, x1, y0, y1 = wx1, wx0, wy1, wy0
+        for y in range(wy0, wy1):
+            for x in range(wx0, wx1):
+                if labels[(y - wy0) * width + x - wx0] == region:
+                    x0, x1 = min(x0, x), max(x1, x + 1)
+                    y0, y1 = min(y0, y), max(y1, y + 1)
+        x0, x1 = max(x0 - MARGIN_PX, wx0), min(x1 + MARGIN_PX, wx1)
+        y0, y1 = max(y0 - MARGIN_PX, wy0), min(y1 + MARGIN_PX, wy1)
+        own = np.empty((x1 - x0) * (y1 - y0), np.int32)
+        for y in range(y0, y1):
+            for x in range(x0, x1):
+                label = labels[(y - wy0) * width + x - wx0]
+                # The free surroundings count as the spot's own; other regions do not.
+                own[(y - y0) * (x1 - x0) + x - x0] = region if label == region or label == -1 else -2
+        spot = spots[count]
+        spot[:] = whole
+        spot[WX0], spot[WX1], spot[WY0], spot[WY1] = x0, x1, y0, y1
+        spot[TOUCHING] = alone > 1
+        spot[LEVEL], spot[SLOPE_X], spot[SLOPE_Y], _ = _ring_background(
+            image, x0, x1, y0, y1, whole[LEVEL], whole[NOISE], faintest
+        )
+        area, share = _shape(image, own, region, x0, x1, y0, y1, spot)
+        spot[FATE] = _judge(spot, area, share, faintest, largest_radius)
+        count += 1
+    return count
