@@ -106,7 +106,8 @@ def _camera(section: Section) -> Camera:
     matrix = np.array(_matrix(section, "camera_matrix", 3, 3)).reshape(3, 3)
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
         raise section.error(
-            "camera_matrix", f"fx = {matrix[0, 0]:g} and fy = {matrix[1, 1]:g}, expected focal lengths above 0 px"
+            "camera_matrix",
+            f"fx = {matrix[0, 0]:g} and fy = {matrix[1, 1]:g}, expected focal lengths above 0 px",
         )
     fixed = matrix.copy()
     fixed[0, 0] = fixed[1, 1] = fixed[0, 2] = fixed[1, 2] = 0.0
@@ -138,7 +139,7 @@ def _coefficients(section: Section, model: str) -> list[float]:
         wanted = " or ".join(str(number) for number in accepted)
         raise section.error("distortion_coefficients", f"{count} coefficients, expected {wanted} for {model}")
     values = inner.numbers("data", count, "the coefficients")
-    return values + [0.0] if model == "plumb_bob" and count == 4 else values
+    return [*values, 0.0] if model == "plumb_bob" and count == 4 else values
 
 
 def check_image_size(camera: Camera, width: int, height: int, where: str) -> None:

@@ -171,9 +171,7 @@ def encode_transforms(time_ns: int, transforms: list[tuple[str, str, Pose]]) -> 
     """foxglove.FrameTransforms of (parent frame, child frame, T_parent_child)."""
     message = FrameTransforms()
     for parent, child, pose in transforms:
-        entry = message.transforms.add(
-            timestamp=_timestamp(time_ns), parent_frame_id=parent, child_frame_id=child
-        )
+        entry = message.transforms.add(timestamp=_timestamp(time_ns), parent_frame_id=parent, child_frame_id=child)
         entry.translation.x, entry.translation.y, entry.translation.z = pose.position.tolist()
         entry.translation.SetInParent()
         q = entry.rotation
@@ -219,9 +217,7 @@ def decode_image(payload: bytes) -> NDArray[np.uint8]:
     if message.encoding not in {"mono8", "8UC1"}:
         raise InputError(f"image message: encoding {message.encoding!r}, expected mono8")
     if message.step < message.width or len(message.data) != message.step * message.height:
-        raise InputError(
-            f"image message: {len(message.data)} bytes, expected {message.step} x {message.height}"
-        )
+        raise InputError(f"image message: {len(message.data)} bytes, expected {message.step} x {message.height}")
     rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)
     return np.ascontiguousarray(rows[:, : message.width])
 

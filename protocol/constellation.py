@@ -75,7 +75,8 @@ def confusions(layouts: Sequence[Floats], hidden: int = 0) -> Iterator[Confusion
         for number, subset in enumerate(subsets):
             left[seen, number, (orders == subset).all(axis=1)] = np.inf
         for taken in range(len(layouts)):
-            number, order = np.unravel_index(int(np.argmin(left[taken])), left[taken].shape)
+            place = np.unravel_index(int(np.argmin(left[taken])), left[taken].shape)
+            number, order = int(place[0]), int(place[1])
             yield Confusion(
                 seen,
                 taken,

@@ -19,9 +19,7 @@ _TX_QUEUE = 16
 _RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 
 
-def server_config(
-    listen: str | None = None, connect: str | None = None, options: Path | None = None
-) -> "zenoh.Config":
+def server_config(listen: str | None = None, connect: str | None = None, options: Path | None = None) -> "zenoh.Config":
     """A peer that listens on ``listen`` (default: loopback), or a client of ``connect``.
 
     ``options`` is a JSON5 file of zenoh options; what it says holds, unless an argument says otherwise. Raises
@@ -92,9 +90,7 @@ def _short(error: Exception) -> str:
     return str(error).split(" at /")[0].strip()
 
 
-def open_server(
-    listen: str | None = None, connect: str | None = None, options: Path | None = None
-) -> "zenoh.Session":
+def open_server(listen: str | None = None, connect: str | None = None, options: Path | None = None) -> "zenoh.Session":
     """Open the server's session.
 
     Raises InputError when an endpoint is malformed or in use, WorldError when the infrastructure cannot be reached.

@@ -7,7 +7,6 @@ import numpy as np
 
 from asterism.protocol.camera import Camera, load_camera, parse_camera
 from asterism.protocol.constellation import LEDS, Confusion, confusions, extent, plane_of
-from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose, frozen_array
 from asterism.protocol.keys import key_problem
 from asterism.protocol.yaml_file import Section, parse_yaml, read_yaml

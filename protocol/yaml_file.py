@@ -140,8 +140,7 @@ class Section:
         if not isinstance(value, list):
             raise self.error(key, f"{describe(value)}, expected {wanted}")
         return [
-            self._numbers(row, f"{key}[{index}]", f"{count} numbers ({what})", count)
-            for index, row in enumerate(value)
+            self._numbers(row, f"{key}[{index}]", f"{count} numbers ({what})", count) for index, row in enumerate(value)
         ]
 
     def _numbers(self, value: object, key: str, wanted: str, count: int) -> list[float]:

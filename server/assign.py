@@ -18,7 +18,10 @@ BEYOND_CHANCE = 12.0  # the least score, in nats: one false claim in 160 000 pla
 MARGIN = 7.0  # over the best explanation without it, in nats: odds of 1000
 HIDDEN = math.log(10.0)  # what a hidden LED costs: one in ten is
 MIRROR_RATIO = 0.6  # of two explanations of one robot the dimmer is a mirror image if it is dimmer than this
-HEIGHT_SPREAD, LIKE_HEIGHTS = 0.3, 2.5 / 0.4  # LEDs of one robot: one sigma of the logarithm; range of chance spots
+HEIGHT_SPREAD, LIKE_HEIGHTS = (
+    0.3,
+    2.5 / 0.4,
+)  # LEDs of one robot: one sigma of the logarithm; range of chance spots
 RADIUS_SPREAD, LIKE_RADII = 0.2, 4.0
 LARGEST_GROUP = 14  # rivals that are judged together; the weakest beyond that are left out
 
@@ -92,14 +95,14 @@ def assign(hypotheses: Sequence[Hypothesis]) -> tuple[list[Hypothesis], dict[int
     claimed: list[Hypothesis] = []
     doubts: dict[int, str] = {}
     for group in _groups([h for h in kept if h.score > 0.0]):
-        group = group[:LARGEST_GROUP]
-        best, best_score = _best_set(group)
+        strongest = group[:LARGEST_GROUP]
+        best, best_score = _best_set(strongest)
         for member in best:
-            rest = best_score - _best_set([h for h in group if h is not member])[1]
+            rest = best_score - _best_set([h for h in strongest if h is not member])[1]
             if member.score < BEYOND_CHANCE:
                 doubts.setdefault(member.robot, "its spots may be chance")
             elif rest < MARGIN:
-                rivals = [h for h in group if h is not member and _exclude(h, member) and h not in best]
+                rivals = [h for h in strongest if h is not member and _exclude(h, member) and h not in best]
                 for rival in [member, *rivals]:
                     doubts[rival.robot] = _why(member, rivals)
             else:

@@ -9,18 +9,18 @@ median of their neighbours where those are darker.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
+from asterism.server.compiled import compiled
 
 TILE_PX = 128
 BLOCK_ROWS = 8  # rows that share one row of seed thresholds
 _LATTICE = 12  # samples a tile along each axis
 
 
-@njit(cache=True, nogil=True)
-def measure_background(image, level, noise):  # type: ignore[no-untyped-def]
+@compiled
+def measure_background(image, level, noise):
     """Fill ``level`` and ``noise`` (tiles_y, tiles_x), grey levels, from an (h, w) uint8 image."""
     height, width = image.shape
     tiles_y, tiles_x = level.shape
@@ -50,8 +50,8 @@ def measure_background(image, level, noise):  # type: ignore[no-untyped-def]
             noise[ty, tx] = max(0.5 * math.sqrt(math.pi) * total / max(differences, 1), 0.3)
 
 
-@njit(cache=True, nogil=True)
-def discount_lamps(level, noise):  # type: ignore[no-untyped-def]
+@compiled
+def discount_lamps(level, noise):
     """The same maps with bright outliers among the tiles replaced by the median of their neighbours."""
     tiles_y, tiles_x = level.shape
     level_out = level.copy()
@@ -76,8 +76,8 @@ def discount_lamps(level, noise):  # type: ignore[no-untyped-def]
     return level_out, noise_out
 
 
-@njit(cache=True, nogil=True)
-def interpolate(tiles, y, x, height, width):  # type: ignore[no-untyped-def]
+@compiled
+def interpolate(tiles, y, x, height, width):
     """Bilinear value at pixel (x, y) of a map whose values stand at tile centres; constant beyond the outer ones."""
     tiles_y, tiles_x = tiles.shape
     v = min(max((y + 0.5) * tiles_y / height - 0.5, 0.0), tiles_y - 1.0)
@@ -90,8 +90,8 @@ def interpolate(tiles, y, x, height, width):  # type: ignore[no-untyped-def]
     return upper + fv * (lower - upper)
 
 
-@njit(cache=True, nogil=True)
-def seed_thresholds(level, noise, sigmas, least, height, width, thresholds):  # type: ignore[no-untyped-def]
+@compiled
+def seed_thresholds(level, noise, sigmas, least, height, width, thresholds):
     """Fill ``thresholds`` (blocks, w) uint8: a pixel above its block's threshold may belong to a spot.
 
     The threshold is the background plus ``sigmas`` times its noise, at least ``least`` grey levels.
@@ -113,7 +113,7 @@ def seed_thresholds(level, noise, sigmas, least, height, width, thresholds):  # 
         start = 0
         for tx in range(-1, tiles_x):
             # Columns between the centres of tiles tx and tx + 1.
-            end = width if tx == tiles_x - 1 else min(max(int(math.ceil((tx + 1.5) / scale - 0.5)), 0), width)
+            end = width if tx == tiles_x - 1 else min(max(math.ceil((tx + 1.5) / scale - 0.5), 0), width)
             left = knots[max(tx, 0)]
             slope = knots[min(tx + 1, tiles_x - 1)] - left
             first = (start + 0.5) * scale - 0.5 - max(tx, 0)

@@ -79,9 +79,7 @@ def find_blobs(
     while True:
         seed_thresholds(level, noise, sigmas, least, height, width, scratch.thresholds)
         mark_hot_columns(image, scratch.thresholds, scratch.hot)
-        count = connect(
-            image, scratch.thresholds, scratch.hot, scratch.runs, scratch.parent, scratch.components
-        )
+        count = connect(image, scratch.thresholds, scratch.hot, scratch.runs, scratch.parent, scratch.components)
         if count >= 0:
             break
         sigmas, least = 1.5 * sigmas, 1.5 * least

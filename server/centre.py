@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from asterism.server.compiled import compiled
 from asterism.server.edge_model import fit_edge_model
 from asterism.server.grey_square import fit_grey_square
 from asterism.server.leaning import fit_leaning
@@ -24,8 +24,8 @@ TOUCHING_PX = 4.0  # a spot that was split from another is fitted together with 
 LARGEST_LEANING = 3.0  # and not this many times larger: a lamp is no round Gaussian
 
 
-@njit(cache=True, nogil=True)
-def _neighbours_of(spots, order, place, widest, neighbours, other):  # type: ignore[no-untyped-def]
+@compiled
+def _neighbours_of(spots, order, place, widest, neighbours, other):
     """Fill ``neighbours`` (k, 3) x, y, radius px with the spots near the one at ``place``; return their count.
 
     ``other`` (4,) receives x, y, height and radius of the brightest of those that were split from it, if it is no
@@ -43,7 +43,11 @@ def _neighbours_of(spots, order, place, widest, neighbours, other):  # type: ign
                 break
             gap = math.hypot(near[X] - spot[X], near[Y] - spot[Y]) - spot[SEMI_A] - near[SEMI_A]
             if gap < NEIGHBOUR_REACH_PX and count < MOST_NEIGHBOURS:
-                neighbours[count, 0], neighbours[count, 1], neighbours[count, 2] = near[X], near[Y], near[SEMI_A]
+                neighbours[count, 0], neighbours[count, 1], neighbours[count, 2] = (
+                    near[X],
+                    near[Y],
+                    near[SEMI_A],
+                )
                 count += 1
                 beside = spot[TOUCHING] > 0.0 and near[TOUCHING] > 0.0 and gap < TOUCHING_PX
                 if beside and near[HEIGHT] > other[2] and near[SEMI_A] < LARGEST_LEANING * spot[SEMI_A]:
@@ -52,8 +56,8 @@ def _neighbours_of(spots, order, place, widest, neighbours, other):  # type: ign
     return count
 
 
-@njit(cache=True, nogil=True)
-def refine_centres(image, spots, estimator, centres, covariances):  # type: ignore[no-untyped-def]
+@compiled
+def refine_centres(image, spots, estimator, centres, covariances):
     """Fill ``centres`` (n, 2) px and ``covariances`` (n, 3) xx, xy, yy px^2 of the rows of the spot table.
 
     Rejected spots keep the coarse centre of the table, with covariance 0. Spots that other light leans on get their
@@ -86,8 +90,8 @@ def refine_centres(image, spots, estimator, centres, covariances):  # type: igno
         covariances[k, 2] = out[4] + spot[SHOULDER] ** 2
 
 
-@njit(cache=True, nogil=True)
-def refine_leaning(image, spots, rows, centres, covariances):  # type: ignore[no-untyped-def]
+@compiled
+def refine_leaning(image, spots, rows, centres, covariances):
     """Centre the spots of ``rows`` that other light leans on anew, together with that light.
 
     ``centres`` and ``covariances`` as `refine_centres` left them are changed where the fit succeeds; returns how

@@ -6,17 +6,17 @@ runs that are joined to components (8-neighbourhood) by union-find.
 """
 
 import numpy as np
-from numba import njit
 
 from asterism.server.background import BLOCK_ROWS
+from asterism.server.compiled import compiled
 
 # Columns of the component table.
 X0, X1, Y0, Y1, AREA, PEAK, SATURATED = range(7)  # X1 and Y1 exclusive
 COMPONENT_COLUMNS = 7
 
 
-@njit(cache=True, nogil=True)
-def mark_hot_columns(image, thresholds, hot):  # type: ignore[no-untyped-def]
+@compiled
+def mark_hot_columns(image, thresholds, hot):
     """Set ``hot`` (blocks, w) uint8 where a block of rows has a pixel above its threshold."""
     height, width = image.shape
     for block in range(thresholds.shape[0]):
@@ -29,16 +29,16 @@ def mark_hot_columns(image, thresholds, hot):  # type: ignore[no-untyped-def]
                 mark[x] |= row[x] > limit[x]
 
 
-@njit(cache=True, nogil=True)
-def _root(parent, k):  # type: ignore[no-untyped-def]
+@compiled
+def _root(parent, k):
     while parent[k] != k:
         parent[k] = parent[parent[k]]
         k = parent[k]
     return k
 
 
-@njit(cache=True, nogil=True)
-def connect(image, thresholds, hot, runs, parent, table):  # type: ignore[no-untyped-def]
+@compiled
+def connect(image, thresholds, hot, runs, parent, table):
     """Fill ``table`` (capacity, COMPONENT_COLUMNS) int32 with the components; return how many there are.
 
     ``runs`` (capacity, 3) and ``parent`` (capacity,) are scratch. Returns -1 when a capacity does not suffice.
@@ -55,15 +55,19 @@ def connect(image, thresholds, hot, runs, parent, table):  # type: ignore[no-unt
         x = 0
         while x < width:
             # Most of a block is cold: skip it eight columns at a time.
-            if x % 8 == 0 and x // 8 < words and not (
-                mark[x]
-                | mark[x + 1]
-                | mark[x + 2]
-                | mark[x + 3]
-                | mark[x + 4]
-                | mark[x + 5]
-                | mark[x + 6]
-                | mark[x + 7]
+            if (
+                x % 8 == 0
+                and x // 8 < words
+                and not (
+                    mark[x]
+                    | mark[x + 1]
+                    | mark[x + 2]
+                    | mark[x + 3]
+                    | mark[x + 4]
+                    | mark[x + 5]
+                    | mark[x + 6]
+                    | mark[x + 7]
+                )
             ):
                 x += 8
                 continue

@@ -9,8 +9,8 @@ comes from the spot's moments; the centre is refined by Fisher scoring, every pi
 import math
 
 import numpy as np
-from numba import njit
 
+from asterism.server.compiled import compiled
 from asterism.server.spots import (
     ANGLE,
     HEIGHT,
@@ -34,6 +34,7 @@ _T = np.linspace(-_REACH, _REACH, 2 * _STEPS + 1)
 _STEP = np.array([0.5 * (1.0 + math.erf(t / math.sqrt(2.0))) for t in _T])
 _BELL = np.exp(-0.5 * _T * _T) / math.sqrt(2.0 * math.pi)
 
+EVENNESS = 0.004  # of a spot's light: how uneven the model's own error leaves what is outside the ellipse, one sigma
 OUTSIDE = (_REACH - 1.0) * _STEPS / _REACH  # table position of a pixel one sigma of blur outside the edge
 LONGEST_STEP_PX = 0.7  # of one scoring iteration
 NEIGHBOUR_MARGIN_PX = 1.0  # pixels nearer than this to another spot are left out
@@ -42,8 +43,8 @@ STRANGE_LIGHT = 3.0  # sigmas above the model beyond which a pixel's light is so
 SATURATED = 255
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def fit_edge_model(image, spot, neighbours, blur, gain, iterations, out):  # type: ignore[no-untyped-def]
+@compiled
+def fit_edge_model(image, spot, neighbours, blur, gain, iterations, out):
     """Refine the centre of one spot.
 
     ``spot`` is a row of the spot table; ``neighbours`` (k, 3) the x, y and radius (px) of spots nearby; ``blur`` px;
@@ -134,4 +135,5 @@ def fit_edge_model(image, spot, neighbours, blur, gain, iterations, out):  # typ
     det = nxx * nyy - nxy * nxy
     out[0], out[1] = cx, cy
     out[2], out[3], out[4] = nyy / det, -nxy / det, nxx / det
-    out[5] = math.sqrt((side_x * side_x + side_y * side_y) / max(side_variance, 1e-9))
+    usual = side_variance + (EVENNESS * rise * math.pi * a * b) ** 2
+    out[5] = math.sqrt((side_x * side_x + side_y * side_y) / max(usual, 1e-9))

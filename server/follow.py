@@ -8,8 +8,8 @@ does not fit then is left to the cold search of the same frame.
 import math
 
 import numpy as np
-from numba import njit
 
+from asterism.server.compiled import compiled
 from asterism.server.planar import NO_SOLUTION, refine_pose
 from asterism.server.search import LEDS, SYSTEMATIC_PX
 
@@ -19,8 +19,21 @@ BRIGHTNESS_STEP = 2.5  # a LED is not that much brighter or dimmer than it was a
 CHI2 = np.array([0.0, 0.0, 0.0, 0.0, 13.8, 18.5, 22.5])
 
 
-@njit(cache=True, nogil=True)
-def _fit(layout, spots, rays, variances, systematic2, start_rotation, start_t, points, seen, information, rotation, t):  # type: ignore[no-untyped-def]
+@compiled
+def _fit(
+    layout,
+    spots,
+    rays,
+    variances,
+    systematic2,
+    start_rotation,
+    start_t,
+    points,
+    seen,
+    information,
+    rotation,
+    t,
+):
     """Refine a pose from its prediction on the spots that are not -1; returns their count and the cost."""
     count = 0
     for led in range(LEDS):
@@ -39,10 +52,8 @@ def _fit(layout, spots, rays, variances, systematic2, start_rotation, start_t, p
     return count, refine_pose(rotation, t, points[:count], seen[:count], information[:count], 8)
 
 
-@njit(cache=True, nogil=True)
-def follow(  # type: ignore[no-untyped-def]
-    flat, rays, variances, heights, free, layouts, rotations, ts, gates, brightness, focal, assignment, costs
-):
+@compiled
+def follow(flat, rays, variances, heights, free, layouts, rotations, ts, gates, brightness, focal, assignment, costs):
     """Match predicted robots to spots.
 
     ``flat`` (n, 2) ideal px, y up; ``rays`` (n, 2); ``variances`` (n,) of the rays; ``heights`` (n,); ``free`` (n,);
@@ -131,10 +142,8 @@ def follow(  # type: ignore[no-untyped-def]
                 free[spots[led]] = False
 
 
-@njit(cache=True, nogil=True)
-def gather_missing(  # type: ignore[no-untyped-def]
-    flat, rays, heights, free, layouts, rotations, ts, costs, brightness, focal, reach, assignment
-):
+@compiled
+def gather_missing(flat, heights, free, layouts, rotations, ts, costs, brightness, focal, reach, assignment):
     """Give robots that were found the free spots that lie within ``reach`` px of their missing LEDs."""
     for robot in range(layouts.shape[0]):
         if costs[robot] >= NO_SOLUTION:
@@ -163,8 +172,8 @@ def gather_missing(  # type: ignore[no-untyped-def]
                 free[best] = False
 
 
-@njit(cache=True, nogil=True)
-def gate_px(position_sigma, rotation_sigma, extent, focal, depth):  # type: ignore[no-untyped-def]
+@compiled
+def gate_px(position_sigma, rotation_sigma, extent, focal, depth):
     """Radius of the gate, px: three sigma of where an LED may be, and two pixels."""
     swing = 0.5 * extent * rotation_sigma
     return 2.0 + 3.0 * focal / depth * math.sqrt(position_sigma**2 + swing**2)

@@ -7,8 +7,8 @@ background, exceeds 30 % of the spot's height. Squaring favours the middle of th
 import math
 
 import numpy as np
-from numba import njit
 
+from asterism.server.compiled import compiled
 from asterism.server.spots import (
     HEIGHT,
     LEVEL,
@@ -28,8 +28,8 @@ THRESHOLD = 0.3
 PHASE_ERROR_PX = 0.006  # what the threshold's crossing of pixels leaves, measured over sub-pixel phases
 
 
-@njit(cache=True, nogil=True)
-def fit_grey_square(image, spot, neighbours, gain, out):  # type: ignore[no-untyped-def]
+@compiled
+def fit_grey_square(image, spot, neighbours, gain, out):
     """The grey-square centre of one spot; arguments and ``out`` as in `edge_model.fit_edge_model`.
 
     The covariance is that of the weighted mean under the pixels' own noise, plus the error of the sub-pixel phase.

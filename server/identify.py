@@ -86,7 +86,7 @@ def identify(seen: Rays, plan: Plan, predictions: dict[int, tuple[Track, Predict
             ts.append(t)
             warm.append(False)
         doubts = cold[1]
-    matches = Matches(
+    return Matches(
         np.array(robots, np.int64),
         np.array(assignments, np.int64).reshape(-1, LEDS),
         np.array(rotations).reshape(-1, 3, 3),
@@ -94,15 +94,12 @@ def identify(seen: Rays, plan: Plan, predictions: dict[int, tuple[Track, Predict
         np.array(warm, np.bool_),
         doubts,
     )
-    return matches
 
 
 Found = tuple[int, Ints, Floats, Floats]
 
 
-def _follow(
-    seen: Rays, free: np.ndarray, plan: Plan, predictions: dict[int, tuple[Track, Prediction]]
-) -> list[Found]:
+def _follow(seen: Rays, free: np.ndarray, plan: Plan, predictions: dict[int, tuple[Track, Prediction]]) -> list[Found]:
     """Warm matching of the robots whose prediction is good enough."""
     usable = []
     for robot, (track, prediction) in predictions.items():
@@ -128,14 +125,10 @@ def _follow(
         plan.focal, assignment, costs,
     )  # fmt: skip
     gather_missing(
-        seen.flat, seen.rays, seen.heights, free, layouts, rotations, ts, costs, heights, plan.focal, GATHER_PX,
+        seen.flat, seen.heights, free, layouts, rotations, ts, costs, heights, plan.focal, GATHER_PX,
         assignment,
     )  # fmt: skip
-    return [
-        (int(index[k]), assignment[k], rotations[k], ts[k])
-        for k in range(len(usable))
-        if costs[k] < NO_SOLUTION
-    ]
+    return [(int(index[k]), assignment[k], rotations[k], ts[k]) for k in range(len(usable)) if costs[k] < NO_SOLUTION]
 
 
 def _search(
@@ -187,7 +180,8 @@ def _versions(
     versions, costs = np.empty((1 + LEDS, LEDS), np.int64), np.empty(1 + LEDS)
     rotations, ts = np.empty((1 + LEDS, 3, 3)), np.empty((1 + LEDS, 3))
     count = refit_versions(
-        plan.layouts[robot], spots, seen.rays, seen.variances, (sigma_px / plan.focal) ** 2, versions, costs, rotations, ts
+        plan.layouts[robot], spots, seen.rays, seen.variances, (sigma_px / plan.focal) ** 2,
+        versions, costs, rotations, ts,
     )  # fmt: skip
     scored = []
     for k in range(count):

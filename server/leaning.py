@@ -8,8 +8,8 @@ centre's block of the inverse normal matrix, so it owns up to what the second li
 import math
 
 import numpy as np
-from numba import njit
 
+from asterism.server.compiled import compiled
 from asterism.server.planar import cholesky_solve
 from asterism.server.spots import (
     ANGLE,
@@ -37,8 +37,8 @@ NEIGHBOUR_MARGIN_PX = 1.0
 WORST_MISFIT = 0.08  # of the spot's height, RMS: beyond that the model does not hold
 
 
-@njit(cache=True, nogil=True)
-def _evaluate(image, spot, neighbours, blur, gain, p, x0, x1, y0, y1, want, n, r):  # type: ignore[no-untyped-def]
+@compiled
+def _evaluate(image, spot, neighbours, blur, gain, p, x0, x1, y0, y1, want, n, r):
     """Weighted squared residuals of the model; fills the lower triangle n (9, 9) and r (9,) if ``want``.
 
     Returns chi squared, the plain squared residuals, and the number of pixels.
@@ -104,8 +104,8 @@ def _evaluate(image, spot, neighbours, blur, gain, p, x0, x1, y0, y1, want, n, r
     return chi2, plain, pixels
 
 
-@njit(cache=True, nogil=True)
-def _light_beside(image, spot, neighbours, x0, x1, y0, y1):  # type: ignore[no-untyped-def]
+@compiled
+def _light_beside(image, spot, neighbours, x0, x1, y0, y1):
     """Centre and height of what shines outside the spot's ellipse; height 0 if nothing does."""
     middle_x, middle_y = 0.5 * (spot[WX0] + spot[WX1] - 1.0), 0.5 * (spot[WY0] + spot[WY1] - 1.0)
     s = sx = sy = most = 0.0
@@ -131,8 +131,8 @@ def _light_beside(image, spot, neighbours, x0, x1, y0, y1):  # type: ignore[no-u
     return sx / s, sy / s, most
 
 
-@njit(cache=True, nogil=True)
-def fit_leaning(image, spot, other, neighbours, blur, gain, out):  # type: ignore[no-untyped-def]
+@compiled
+def fit_leaning(image, spot, other, neighbours, blur, gain, out):
     """Fit a spot and the light beside it; arguments and ``out`` as in `edge_model.fit_edge_model`.
 
     ``other`` (4,) is the spot that was split from this one: x, y, height, radius; its height is 0 where there is
@@ -173,15 +173,11 @@ def fit_leaning(image, spot, other, neighbours, blur, gain, out):  # type: ignor
         if math.hypot(trial[PX] - spot[X], trial[PY] - spot[Y]) > 2.0:
             damping = damping * 10.0
             continue
-        trial_chi2, _, _ = _evaluate(
-            image, spot, neighbours, blur, gain, trial, x0, x1, y0, y1, False, n, r
-        )
+        trial_chi2, _, _ = _evaluate(image, spot, neighbours, blur, gain, trial, x0, x1, y0, y1, False, n, r)
         if trial_chi2 < chi2:
             gained = chi2 - trial_chi2
             p[:] = trial
-            chi2, plain, pixels = _evaluate(
-                image, spot, neighbours, blur, gain, p, x0, x1, y0, y1, True, n, r
-            )
+            chi2, plain, pixels = _evaluate(image, spot, neighbours, blur, gain, p, x0, x1, y0, y1, True, n, r)
             damping *= 0.2
             if gained < 1e-3 * chi2:
                 break

@@ -6,10 +6,10 @@ The models are those of `asterism.protocol.camera.distort`; the inverse is Newto
 import math
 
 import numpy as np
-from numba import njit
 
 from asterism.protocol.camera import Camera
 from asterism.protocol.geometry import Floats
+from asterism.server.compiled import compiled
 
 # The lens as one array: fx, fy, cx, cy, the model's number, its coefficients (eight places).
 FX, FY, CX, CY, MODEL, COEFFICIENTS = range(6)
@@ -25,8 +25,8 @@ def lens_of(camera: Camera) -> Floats:
     return lens
 
 
-@njit(cache=True, nogil=True)
-def distort_with_jacobian(lens, x, y):  # type: ignore[no-untyped-def]
+@compiled
+def distort_with_jacobian(lens, x, y):
     """Distorted coordinates of the ideal ones (x / z, y / z), and their derivatives: xd, yd, d00, d01, d10, d11."""
     k = lens[COEFFICIENTS:]
     r2 = x * x + y * y
@@ -62,8 +62,8 @@ def distort_with_jacobian(lens, x, y):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True)
-def undistort(lens, centres, covariances, rays, ray_covariances):  # type: ignore[no-untyped-def]
+@compiled
+def undistort(lens, centres, covariances, rays, ray_covariances):
     """Ideal coordinates (n, 2) = (x / z, y / z) of pixels (n, 2), and their covariances (n, 3) xx, xy, yy.
 
     Pixels that no ray of the model reaches become nan.
@@ -98,8 +98,8 @@ def undistort(lens, centres, covariances, rays, ray_covariances):  # type: ignor
         ray_covariances[i, 2] = ic * ic * xx + 2.0 * ic * id_ * xy + id_ * id_ * yy
 
 
-@njit(cache=True, nogil=True)
-def project_point(lens, x, y, z):  # type: ignore[no-untyped-def]
+@compiled
+def project_point(lens, x, y, z):
     """Pixel of a point in the camera's frame."""
     xd, yd, _, _, _, _ = distort_with_jacobian(lens, x / z, y / z)
     return lens[FX] * xd + lens[CX], lens[FY] * yd + lens[CY]

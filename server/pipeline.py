@@ -39,7 +39,8 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     image = np.ascontiguousarray(frame.image)
     if image.ndim != 2 or image.dtype != np.uint8:
         raise InputError(
-            f"frame {frame.name or frame.index}: the image is {image.dtype} of shape {image.shape}, expected uint8 (h, w)"
+            f"frame {frame.name or frame.index}: the image is {image.dtype} of shape {image.shape}, "
+            "expected uint8 of shape (height, width)"
         )
     check_image_size(rig.camera, image.shape[1], image.shape[0], f"frame {frame.name or frame.index}")
     plan = plan_for(rig)
@@ -52,7 +53,11 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     claimed = seen.rows[matches.assignment[matches.assignment >= 0]]
     if refine_leaning(image, blobs.table, claimed, blobs.centres_px, blobs.covariances_px2):
         undistort(
-            plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances
+            plan.lens,
+            blobs.centres_px[seen.rows],
+            blobs.covariances_px2[seen.rows],
+            seen.rays,
+            seen.covariances,
         )
     return _solve(frame, plan, blobs, seen, matches, known)
 
@@ -115,7 +120,11 @@ def _solve(
         if odds < SURE:
             alternative = Alternative(
                 parent_pose(
-                    rig.T_world_camera, T_robot_plane, rotations[k, other], ts[k, other], covariances[k, other]
+                    rig.T_world_camera,
+                    T_robot_plane,
+                    rotations[k, other],
+                    ts[k, other],
+                    covariances[k, other],
                 )[0],
                 odds,
             )
@@ -158,9 +167,7 @@ def _prior(plan: Plan, index: int, before: Track | None, exposed_ns: int, rotati
     if normal is not None and plan.rig.T_world_camera is not None:
         robot = plan.rig.robots[index]
         axis = rotation @ plan.Ts_robot_plane[index].rotation.T @ robot.axis
-        cost += axis_angle_cost(
-            plan.rig.T_world_camera.rotation @ axis, normal.world, normal.within_rad, NORMAL_SIGMA
-        )
+        cost += axis_angle_cost(plan.rig.T_world_camera.rotation @ axis, normal.world, normal.within_rad, NORMAL_SIGMA)
     return cost
 
 

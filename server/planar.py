@@ -12,14 +12,15 @@ Marquardt with left perturbation (R <- exp(w) R, t <- t + dt).
 import math
 
 import numpy as np
-from numba import njit
+
+from asterism.server.compiled import compiled
 
 HUBER2 = 9.0  # squared Mahalanobis distance beyond which a residual counts linearly
 NO_SOLUTION = 1e18
 
 
-@njit(cache=True, nogil=True)
-def cholesky_solve(a, b):  # type: ignore[no-untyped-def]
+@compiled
+def cholesky_solve(a, b):
     """Solve a x = b for symmetric positive definite a (n, n), in place; b becomes x. False if a is not that."""
     n = b.shape[0]
     for j in range(n):
@@ -48,8 +49,8 @@ def cholesky_solve(a, b):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True)
-def _normalisation(points, rays):  # type: ignore[no-untyped-def]
+@compiled
+def _normalisation(points, rays):
     """Scale of centred points, mean and scale of rays: what keeps the linear systems well conditioned."""
     n = points.shape[0]
     mean_u = mean_v = size_p = size_r = 0.0
@@ -64,8 +65,8 @@ def _normalisation(points, rays):  # type: ignore[no-untyped-def]
     return math.sqrt(size_p / (2 * n)), mean_u, mean_v, math.sqrt(size_r / (2 * n))
 
 
-@njit(cache=True, nogil=True)
-def _denormalise(g, size_p, mean_u, mean_v, size_r, h):  # type: ignore[no-untyped-def]
+@compiled
+def _denormalise(g, size_p, mean_u, mean_v, size_r, h):
     """Homography h (3, 3), h[2, 2] = 1, from the nine numbers of the normalised one."""
     for j in range(3):
         unscale = 1.0 / size_p if j < 2 else 1.0
@@ -79,8 +80,8 @@ def _denormalise(g, size_p, mean_u, mean_v, size_r, h):  # type: ignore[no-untyp
     return True
 
 
-@njit(cache=True, nogil=True)
-def homography_tls(points, rays, h):  # type: ignore[no-untyped-def]
+@compiled
+def homography_tls(points, rays, h):
     """The homography h (3, 3) from plane to rays by total least squares: the last right singular vector (SVD).
 
     ``points`` must be centred. Returns False where there is none.
@@ -101,8 +102,8 @@ def homography_tls(points, rays, h):  # type: ignore[no-untyped-def]
     return _denormalise(vt[8], size_p, mean_u, mean_v, size_r, h)
 
 
-@njit(cache=True, nogil=True)
-def homography_ls(points, rays, h):  # type: ignore[no-untyped-def]
+@compiled
+def homography_ls(points, rays, h):
     """The same by ordinary least squares with h[2, 2] = 1 (normal equations): a quick start for verification."""
     n = points.shape[0]
     size_p, mean_u, mean_v, size_r = _normalisation(points, rays)
@@ -132,8 +133,8 @@ def homography_ls(points, rays, h):  # type: ignore[no-untyped-def]
     return _denormalise(g, size_p, mean_u, mean_v, size_r, h)
 
 
-@njit(cache=True, nogil=True)
-def two_rotations(h, first, second):  # type: ignore[no-untyped-def]
+@compiled
+def two_rotations(h, first, second):
     """Both rotations (3, 3) that explain the homography to first order at the plane's origin (IPPE).
 
     False where the homography is degenerate.
@@ -177,8 +178,8 @@ def two_rotations(h, first, second):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True)
-def translation(rotation, points, rays, t):  # type: ignore[no-untyped-def]
+@compiled
+def translation(rotation, points, rays, t):
     """The translation (3,) that fits best, linearly, for a given rotation."""
     n = points.shape[0]
     s1 = s2 = s3 = d0 = d1 = d2 = 0.0
@@ -201,8 +202,8 @@ def translation(rotation, points, rays, t):  # type: ignore[no-untyped-def]
     t[1] = (d1 + s2 * t[2]) / n
 
 
-@njit(cache=True, nogil=True)
-def pose_cost(rotation, t, points, rays, information):  # type: ignore[no-untyped-def]
+@compiled
+def pose_cost(rotation, t, points, rays, information):
     """Robust sum of squared Mahalanobis residuals; NO_SOLUTION if a point lies behind the camera."""
     cost = 0.0
     for i in range(points.shape[0]):
@@ -217,8 +218,8 @@ def pose_cost(rotation, t, points, rays, information):  # type: ignore[no-untype
     return cost
 
 
-@njit(cache=True, nogil=True)
-def normal_equations(rotation, t, points, rays, information, a, b):  # type: ignore[no-untyped-def]
+@compiled
+def normal_equations(rotation, t, points, rays, information, a, b):
     """Fill a (6, 6) and b (6,) of the Gauss-Newton step: translation first, then the rotation vector."""
     a[:, :] = 0.0
     b[:] = 0.0
@@ -250,8 +251,8 @@ def normal_equations(rotation, t, points, rays, information, a, b):  # type: ign
                 a[j, k] += wu * ju[k] + wv * jv[k]
 
 
-@njit(cache=True, nogil=True)
-def turn_by(rotvec, rotation, out):  # type: ignore[no-untyped-def]
+@compiled
+def turn_by(rotvec, rotation, out):
     """out = exp(rotvec) @ rotation, all (3, 3) and (3,)."""
     x, y, z = rotvec[0], rotvec[1], rotvec[2]
     angle2 = x * x + y * y + z * z
@@ -270,8 +271,8 @@ def turn_by(rotvec, rotation, out):  # type: ignore[no-untyped-def]
         out[2, j] = e20 * r0 + e21 * r1 + e22 * r2
 
 
-@njit(cache=True, nogil=True)
-def refine_pose(rotation, t, points, rays, information, iterations):  # type: ignore[no-untyped-def]
+@compiled
+def refine_pose(rotation, t, points, rays, information, iterations):
     """Levenberg-Marquardt on rotation and translation, in place; returns the robust cost."""
     a = np.empty((6, 6))
     b = np.empty(6)
@@ -304,8 +305,8 @@ def refine_pose(rotation, t, points, rays, information, iterations):  # type: ig
     return cost
 
 
-@njit(cache=True, nogil=True)
-def other_minimum(rotation, t, points, rays, other_rotation, other_t):  # type: ignore[no-untyped-def]
+@compiled
+def other_minimum(rotation, t, points, rays, other_rotation, other_t):
     """Where to start for the second minimum of a plane's pose: the first one's own homography, explained otherwise.
 
     ``points`` must be centred on the plane's origin. False where the two coincide.
@@ -329,8 +330,8 @@ def other_minimum(rotation, t, points, rays, other_rotation, other_t):  # type: 
     return True
 
 
-@njit(cache=True, nogil=True)
-def solve_both(points, rays, information, iterations, total_least_squares, rotations, ts, costs):  # type: ignore[no-untyped-def]
+@compiled
+def solve_both(points, rays, information, iterations, total_least_squares, rotations, ts, costs):
     """Both minima of the pose: rotations (2, 3, 3), translations (2, 3), robust costs (2,), the cheaper first.
 
     ``points`` must be centred. A minimum that does not exist has cost NO_SOLUTION; False if there is none at all.

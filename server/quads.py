@@ -9,17 +9,17 @@ Points are given in a right-handed plane (x right, y up), and orientation counts
 import itertools
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
+from asterism.server.compiled import compiled
 
 CELLS = 40  # along each invariant
 TOLERANCE = 0.05  # how far perspective may move an invariant (extent / distance up to 0.2)
 
 
-@njit(cache=True, nogil=True)
-def invariants(points, order, values):  # type: ignore[no-untyped-def]
+@compiled
+def invariants(points, order, values):
     """Kind (0 convex, 1 concave, -1 degenerate) and area of four points (4, 2).
 
     ``order`` (4,) receives them counter-clockwise (concave: the hull, then the inner one), ``values`` (2,) the
@@ -49,11 +49,11 @@ def invariants(points, order, values):  # type: ignore[no-untyped-def]
     if outside == 2:
         # The fourth point lies beyond a corner, which so is inside the triangle of the others.
         if w0 >= 0.0:
-            inner, p, q, w, wp, wq = 0, i1, i2, w0, w1, w2
+            inner, p, q, w, wp = 0, i1, i2, w0, w1
         elif w1 >= 0.0:
-            inner, p, q, w, wp, wq = i1, i2, 0, w1, w2, w0
+            inner, p, q, w, wp = i1, i2, 0, w1, w2
         else:
-            inner, p, q, w, wp, wq = i2, 0, i1, w2, w0, w1
+            inner, p, q, w, wp = i2, 0, i1, w2, w0
         if w < 1e-9:
             return -1, 0.0
         # 3 = w inner + wp p + wq q, so inner = (3 - wp p - wq q) / w.

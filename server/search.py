@@ -9,8 +9,8 @@ else is a hypothesis that `assign` judges together with its rivals.
 import math
 
 import numpy as np
-from numba import njit
 
+from asterism.server.compiled import compiled
 from asterism.server.planar import NO_SOLUTION, homography_ls, refine_pose, translation, two_rotations
 from asterism.server.quads import CELLS, TOLERANCE, invariants
 
@@ -31,8 +31,8 @@ CHI2_FIVE = 18.5  # four degrees of freedom, 99.9 %
 ROBOT, SEEN, COST, HEIGHT = range(4)
 
 
-@njit(cache=True, nogil=True)
-def nearest_neighbours(flat, usable, most, reach, lists, counts):  # type: ignore[no-untyped-def]
+@compiled
+def nearest_neighbours(flat, usable, most, reach, lists, counts):
     """For every usable point of ``flat`` (n, 2) its up to ``most`` nearest usable ones within ``reach``, in order."""
     n = flat.shape[0]
     order = np.argsort(flat[:, 0])
@@ -73,8 +73,8 @@ def nearest_neighbours(flat, usable, most, reach, lists, counts):  # type: ignor
         counts[i] = count
 
 
-@njit(cache=True, nogil=True)
-def _basis(points, order, out):  # type: ignore[no-untyped-def]
+@compiled
+def _basis(points, order, out):
     """The projective basis (3, 3) of four points: columns scaled so that they sum to the fourth."""
     x0, y0 = points[order[0], 0], points[order[0], 1]
     x1, y1 = points[order[1], 0], points[order[1], 1]
@@ -94,8 +94,8 @@ def _basis(points, order, out):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True)
-def _homography4(source, source_order, target, target_order, h, left, right):  # type: ignore[no-untyped-def]
+@compiled
+def _homography4(source, source_order, target, target_order, h, left, right):
     """The exact homography h (3, 3) of four points (rows of ``source`` and ``target`` in the given orders)."""
     if not _basis(source, source_order, right) or not _basis(target, target_order, left):
         return False
@@ -114,8 +114,8 @@ def _homography4(source, source_order, target, target_order, h, left, right):  #
     return True
 
 
-@njit(cache=True, nogil=True)
-def _plausible(layout, leds, flat, spots, focal, near, far, most_tilt):  # type: ignore[no-untyped-def]
+@compiled
+def _plausible(layout, leds, flat, spots, focal, near, far, most_tilt):
     """Whether the affine map of three points is one that a camera can see: scale within the range, tilt, no mirror."""
     ax, ay = layout[leds[0], 0], layout[leds[0], 1]
     ux, uy = layout[leds[1], 0] - ax, layout[leds[1], 1] - ay
@@ -137,10 +137,8 @@ def _plausible(layout, leds, flat, spots, focal, near, far, most_tilt):  # type:
     return 0.8 * focal / far <= large <= 1.25 * focal / near and small >= 0.8 * most_tilt * large
 
 
-@njit(cache=True, nogil=True)
-def fit_labelled(  # type: ignore[no-untyped-def]
-    layout, spots, rays, variances, systematic2, iterations, points, seen, information, rotations, ts, h
-):
+@compiled
+def fit_labelled(layout, spots, rays, variances, systematic2, iterations, points, seen, information, rotations, ts, h):
     """Pose of a robot whose LEDs are the given spots (-1: not visible), turned towards the camera.
 
     Returns how many LEDs it rests on, the cost (squared sigmas) and which of ``rotations``, ``ts`` holds the pose;
@@ -187,8 +185,8 @@ def fit_labelled(  # type: ignore[no-untyped-def]
     return count, best_cost, best
 
 
-@njit(cache=True, nogil=True)
-def _misfit(layout, led, rotation, t, ray):  # type: ignore[no-untyped-def]
+@compiled
+def _misfit(layout, led, rotation, t, ray):
     """Squared distance, in ray units, between a ray and where a pose puts an LED."""
     x, y, z = t[0], t[1], t[2]
     for j in range(3):
@@ -198,8 +196,8 @@ def _misfit(layout, led, rotation, t, ray):  # type: ignore[no-untyped-def]
     return (x / z - ray[0]) ** 2 + (y / z - ray[1]) ** 2
 
 
-@njit(cache=True, nogil=True)
-def _median_height(heights, spots):  # type: ignore[no-untyped-def]
+@compiled
+def _median_height(heights, spots):
     """Median height of the spots that are visible."""
     values = np.empty(LEDS)
     count = 0
@@ -214,8 +212,8 @@ def _median_height(heights, spots):  # type: ignore[no-untyped-def]
     return 0.5 * (values[(count - 1) // 2] + values[count // 2])
 
 
-@njit(cache=True, nogil=True)
-def search(  # type: ignore[no-untyped-def]
+@compiled
+def search(
     flat,
     rays,
     variances,
@@ -456,8 +454,8 @@ def search(  # type: ignore[no-untyped-def]
     return n_claims, n_pending, quads
 
 
-@njit(cache=True, nogil=True)
-def refit_versions(layout, spots, rays, variances, systematic2, versions, costs, rotations_out, ts_out):  # type: ignore[no-untyped-def]
+@compiled
+def refit_versions(layout, spots, rays, variances, systematic2, versions, costs, rotations_out, ts_out):
     """Fit a hypothesis anew with another systematic variance: as it is, and with each LED left out if it has six.
 
     Fills ``versions`` (7, 6) with the spots of each version, ``costs`` (7,) (NO_SOLUTION where there is no pose),
@@ -474,7 +472,18 @@ def refit_versions(layout, spots, rays, variances, systematic2, versions, costs,
         if version > 0:
             versions[version, version - 1] = -1
         _, costs[version], which = fit_labelled(
-            layout, versions[version], rays, variances, systematic2, 5, points, seen, information, rotations, ts, h
+            layout,
+            versions[version],
+            rays,
+            variances,
+            systematic2,
+            5,
+            points,
+            seen,
+            information,
+            rotations,
+            ts,
+            h,
         )
         if which < 0:
             costs[version] = NO_SOLUTION

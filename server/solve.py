@@ -8,9 +8,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from asterism.protocol.geometry import Floats, Pose
+from asterism.server.compiled import compiled
 from asterism.server.lens import FX, FY, project_point
 from asterism.server.planar import (
     NO_SOLUTION,
@@ -68,8 +68,8 @@ class Lost:
     state: str = "LOST"
 
 
-@njit(cache=True, nogil=True)
-def _gather(layout, spots, rays, ray_covariances, extra, focal, points, seen, information, centre):  # type: ignore[no-untyped-def]
+@compiled
+def _gather(layout, spots, rays, ray_covariances, extra, focal, points, seen, information, centre):
     """Points centred on their mean, rays and information of the visible LEDs; returns their count."""
     count = 0
     centre[:] = 0.0
@@ -92,8 +92,8 @@ def _gather(layout, spots, rays, ray_covariances, extra, focal, points, seen, in
     return count
 
 
-@njit(cache=True, nogil=True)
-def _squared_residuals(rotation, t, points, seen):  # type: ignore[no-untyped-def]
+@compiled
+def _squared_residuals(rotation, t, points, seen):
     """Sum of the squared residuals, ray units."""
     total = 0.0
     for k in range(points.shape[0]):
@@ -106,8 +106,8 @@ def _squared_residuals(rotation, t, points, seen):  # type: ignore[no-untyped-de
     return total
 
 
-@njit(cache=True, nogil=True)
-def _odd_led(layout, spots, rays, ray_covariances, start_rotation, start_t, focal):  # type: ignore[no-untyped-def]
+@compiled
+def _odd_led(layout, spots, rays, ray_covariances, start_rotation, start_t, focal):
     """The LED of six whose spot is not where the other five say, or -1: other light may have moved it."""
     points, seen, information = np.empty((LEDS, 3)), np.empty((LEDS, 2)), np.empty((LEDS, 3))
     centre, rotation, t = np.empty(3), np.empty((3, 3)), np.empty(3)
@@ -136,16 +136,16 @@ def _odd_led(layout, spots, rays, ray_covariances, start_rotation, start_t, foca
     return best_led if ODD * best_cost / 4.0 < whole_cost / 6.0 else -1
 
 
-@njit(cache=True, nogil=True)
-def solve_robots(  # type: ignore[no-untyped-def]
+@compiled
+def solve_robots(
     layouts, assignment, rays, ray_covariances, centres, start_rotations, start_ts, is_warm, lens,
     rotations, ts, costs, covariances, residuals,
 ):  # fmt: skip
     """Solve every matched robot.
 
-    ``layouts`` (m, 6, 3) m; ``assignment`` (m, 6) spots or -1, changed where one of six spots turns out to be odd; ``rays`` (n, 2), ``ray_covariances`` (n, 3) and
-    ``centres`` (n, 2) px of the spots; ``start_rotations`` (m, 3, 3), ``start_ts`` (m, 3) from the matching, of use
-    where ``is_warm`` (m,); ``lens`` as in `lens`.
+    ``layouts`` (m, 6, 3) m; ``assignment`` (m, 6) spots or -1, changed where one of six spots turns out to be
+    odd; ``rays`` (n, 2), ``ray_covariances`` (n, 3) and ``centres`` (n, 2) px of the spots; ``start_rotations`` (m, 3, 3),
+    ``start_ts`` (m, 3) from the matching, of use where ``is_warm`` (m,); ``lens`` as in `lens`.
 
     Fills, for both minima of every robot, ``rotations`` (m, 2, 3, 3) and ``ts`` (m, 2, 3) = T_camera_plane,
     ``costs`` (m, 2) (chi squared; NO_SOLUTION where there is none or it faces away), ``covariances`` (m, 2, 6, 6) of
@@ -163,9 +163,7 @@ def solve_robots(  # type: ignore[no-untyped-def]
         if without >= 0:
             spots[without] = -1
         for attempt in range(2):
-            count = _gather(
-                layout, spots, rays, ray_covariances, extra, focal, points, seen, information, centre
-            )
+            count = _gather(layout, spots, rays, ray_covariances, extra, focal, points, seen, information, centre)
             p, s, w = points[:count], seen[:count], information[:count]
             if attempt == 1:
                 for which in range(2):
@@ -215,8 +213,8 @@ def solve_robots(  # type: ignore[no-untyped-def]
                     residuals[robot, which, led, 1] = centres[spots[led], 1] - py
 
 
-@njit(cache=True, nogil=True)
-def _invert(a, out):  # type: ignore[no-untyped-def]
+@compiled
+def _invert(a, out):
     """Inverse (6, 6) of the symmetric matrix whose lower triangle ``a`` holds; huge where it is singular."""
     column = np.empty(6)
     work = np.empty((6, 6))
@@ -232,8 +230,8 @@ def _invert(a, out):  # type: ignore[no-untyped-def]
         out[:, j] = column
 
 
-@njit(cache=True, nogil=True)
-def _move_origin(covariance, arm):  # type: ignore[no-untyped-def]
+@compiled
+def _move_origin(covariance, arm):
     """Covariance (6, 6) of pose, translation first, when its origin moves by ``arm`` (3,), in the parent's axes."""
     # dt' = dt + w x arm
     j = np.eye(6)

@@ -9,11 +9,11 @@ is its background, half its height above that its local threshold.
 import math
 
 import numpy as np
-from numba import njit
 
 from asterism.protocol.messages import Fate
 from asterism.server.background import interpolate
-from asterism.server.components import AREA, PEAK, SATURATED, X0, X1, Y0, Y1
+from asterism.server.compiled import compiled
+from asterism.server.components import AREA, PEAK, X0, X1, Y0, Y1
 
 # Columns of the spot table: centre, semi-axes and angle of the ellipse (px, rad), height above the local background,
 # the background's level at the centre and its slopes (grey levels, per px), its noise, the share of the spot's
@@ -65,8 +65,8 @@ UPPER_INSET_PX = 0.33  # how far inside the disc's edge that upper part lies
 SHOULDER_PX = 0.05  # a centre that moves more between the whole profile and its upper part has other light beside it
 
 
-@njit(cache=True, nogil=True)
-def _solve3(m00, m01, m02, m11, m12, m22, r0, r1, r2):  # type: ignore[no-untyped-def]
+@compiled
+def _solve3(m00, m01, m02, m11, m12, m22, r0, r1, r2):
     """Solution of a symmetric 3x3 system by Cramer's rule; zeros when it is singular."""
     c00 = m11 * m22 - m12 * m12
     c01 = m02 * m12 - m01 * m22
@@ -85,8 +85,8 @@ def _solve3(m00, m01, m02, m11, m12, m22, r0, r1, r2):  # type: ignore[no-untype
     )
 
 
-@njit(cache=True, nogil=True)
-def _ring_background(image, x0, x1, y0, y1, guess, noise, rise):  # type: ignore[no-untyped-def]
+@compiled
+def _ring_background(image, x0, x1, y0, y1, guess, noise, rise):
     """Plane through the outermost pixels of the window: level at its centre, slopes, and whether enough were free.
 
     Pixels that belong to something bright (``rise`` above the ``guess``, later beyond three sigma of the plane) are
@@ -124,8 +124,8 @@ def _ring_background(image, x0, x1, y0, y1, guess, noise, rise):  # type: ignore
     return level, slope_x, slope_y, fitted
 
 
-@njit(cache=True, nogil=True)
-def watershed(image, thresholds_row, x0, x1, y0, y1, base, noise, labels, regions):  # type: ignore[no-untyped-def]
+@compiled
+def watershed(image, thresholds_row, x0, x1, y0, y1, base, noise, labels, regions):
     """Split the pixels above the seed threshold in a window into regions, one for every prominent peak.
 
     ``labels`` (cells,) int32 is filled with region numbers (-1 outside); ``regions`` (capacity, 4) float64 with
@@ -208,8 +208,8 @@ def watershed(image, thresholds_row, x0, x1, y0, y1, base, noise, labels, region
     return count
 
 
-@njit(cache=True, nogil=True)
-def _ellipse(s, sx, sy, sxx, sxy, syy):  # type: ignore[no-untyped-def]
+@compiled
+def _ellipse(s, sx, sy, sxx, sxy, syy):
     """Mean x, y, the larger and the smaller second moment, and the angle of the larger, from raw moments."""
     mx, my = sx / s, sy / s
     vxx, vxy, vyy = sxx / s - mx * mx, sxy / s - mx * my, syy / s - my * my
@@ -218,8 +218,8 @@ def _ellipse(s, sx, sy, sxx, sxy, syy):  # type: ignore[no-untyped-def]
     return mx, my, mean + half, max(mean - half, 0.0), 0.5 * math.atan2(2.0 * vxy, vxx - vyy)
 
 
-@njit(cache=True, nogil=True)
-def _shape(image, labels, label, x0, x1, y0, y1, spot):  # type: ignore[no-untyped-def]
+@compiled
+def _shape(image, labels, label, x0, x1, y0, y1, spot):
     """Centre and ellipse of a spot from the moments of its profile, clipped from below and above.
 
     Only the pixels of ``label`` count (all pixels of the window if it is -1). Other light that leans on the spot
@@ -298,8 +298,8 @@ def _shape(image, labels, label, x0, x1, y0, y1, spot):  # type: ignore[no-untyp
     return area, first / max(total, 1e-9)
 
 
-@njit(cache=True, nogil=True)
-def _judge(spot, area, peak_share, faintest, largest_radius):  # type: ignore[no-untyped-def]
+@compiled
+def _judge(spot, area, peak_share, faintest, largest_radius):
     """The fate of a measured spot."""
     a, b = spot[SEMI_A], spot[SEMI_B]
     if spot[HEIGHT] < faintest:
@@ -318,8 +318,8 @@ def _judge(spot, area, peak_share, faintest, largest_radius):  # type: ignore[no
     return UNEXPLAINED
 
 
-@njit(cache=True, nogil=True)
-def _looks_single(component, spot, area):  # type: ignore[no-untyped-def]
+@compiled
+def _looks_single(component, spot, area):
     """Whether the component is no larger than one spot of this shape makes it, so that no other hides in it."""
     # The foot of a blurred disc lies at most this far outside its half-height line.
     foot = 2.2
@@ -332,10 +332,8 @@ def _looks_single(component, spot, area):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True)
-def measure_spots(  # type: ignore[no-untyped-def]
-    image, thresholds, table, n_components, level, noise, sigmas, least, largest_radius, masks, spots
-):
+@compiled
+def measure_spots(image, thresholds, table, n_components, level, noise, sigmas, least, largest_radius, masks, spots):
     """Fill ``spots`` (capacity, SPOT_COLUMNS) from ``n_components`` rows of ``table``; return how many there are.
 
     ``level`` and ``noise`` are the background maps; ``sigmas`` and ``least`` say how far, in background sigmas and
@@ -390,14 +388,12 @@ def measure_spots(  # type: ignore[no-untyped-def]
             labels = np.empty(cells, np.int32)
         n_regions = watershed(image, thresholds, wx0, wx1, wy0, wy1, base, rough, labels, regions)
         _keep_group(labels[:cells], regions, n_regions, component)
-        count = _measure_regions(
-            image, labels, regions, n_regions, spot.copy(), faintest, largest_radius, spots, count
-        )
+        count = _measure_regions(image, labels, n_regions, spot.copy(), faintest, largest_radius, spots, count)
     return count
 
 
-@njit(cache=True, nogil=True)
-def _top(regions, region):  # type: ignore[no-untyped-def]
+@compiled
+def _top(regions, region):
     """The highest region of the connected group that a region belongs to."""
     while True:
         above = int(regions[region, 2])
@@ -408,8 +404,8 @@ def _top(regions, region):  # type: ignore[no-untyped-def]
         region = above
 
 
-@njit(cache=True, nogil=True)
-def _keep_group(labels, regions, n_regions, component):  # type: ignore[no-untyped-def]
+@compiled
+def _keep_group(labels, regions, n_regions, component):
     """Mark (-2) the pixels of other components that reach into the window; they are measured on their own."""
     sizes = np.zeros(n_regions, np.int64)
     for label in labels:
@@ -425,10 +421,8 @@ def _keep_group(labels, regions, n_regions, component):  # type: ignore[no-untyp
             labels[cell] = -2
 
 
-@njit(cache=True, nogil=True)
-def _measure_regions(  # type: ignore[no-untyped-def]
-    image, labels, regions, n_regions, whole, faintest, largest_radius, spots, count
-):
+@compiled
+def _measure_regions(image, labels, n_regions, whole, faintest, largest_radius, spots, count):
     """Measure every region of a split component as a spot of its own; return the new number of spots."""
     wx0, wx1, wy0, wy1 = int(whole[WX0]), int(whole[WX1]), int(whole[WY0]), int(whole[WY1])
     width = wx1 - wx0
@@ -454,7 +448,7 @@ def _measure_regions(  # type: ignore[no-untyped-def]
             for x in range(x0, x1):
                 label = labels[(y - wy0) * width + x - wx0]
                 # The free surroundings count as the spot's own; other regions do not.
-                own[(y - y0) * (x1 - x0) + x - x0] = region if label == region or label == -1 else -2
+                own[(y - y0) * (x1 - x0) + x - x0] = region if label in (region, -1) else -2
         spot = spots[count]
         spot[:] = whole
         spot[WX0], spot[WX1], spot[WY0], spot[WY1] = x0, x1, y0, y1

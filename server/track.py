@@ -78,12 +78,8 @@ def predict(track: Track, exposed_ns: int) -> Prediction:
     return Prediction(
         exp_rotation(track.turn * dt) @ track.rotation,
         track.t + track.velocity * dt,
-        math.sqrt(
-            track.position_sigma**2 + (track.velocity_sigma * dt) ** 2 + (0.5 * ACCELERATION * dt * dt) ** 2
-        ),
-        math.sqrt(
-            track.rotation_sigma**2 + (track.turn_sigma * dt) ** 2 + (0.5 * TURN_ACCELERATION * dt * dt) ** 2
-        ),
+        math.sqrt(track.position_sigma**2 + (track.velocity_sigma * dt) ** 2 + (0.5 * ACCELERATION * dt * dt) ** 2),
+        math.sqrt(track.rotation_sigma**2 + (track.turn_sigma * dt) ** 2 + (0.5 * TURN_ACCELERATION * dt * dt) ** 2),
     )
 
 

@@ -1,0 +1,56 @@
+"""asterism compare: differences of two recordings."""
+
+import argparse
+import math
+
+from rich.console import Console
+from rich.table import Table
+
+from asterism.recordings.compare import compare, percentile
+from asterism.recordings.reader import Recording
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the differences; exit code 1 if they exceed the tolerances."""
+    found = compare(Recording(options.a), Recording(options.b))
+    table = Table(box=None, header_style="bold", padding=(0, 1))
+    columns = (
+        "robot", "frames", "only in A", "only in B", "other state", "other LEDs", "position mm", "max", "rotation deg",
+        "max", "rms px", "max",
+    )  # fmt: skip
+    for name in columns:
+        table.add_column(name, justify="left" if name == "robot" else "right", no_wrap=True)
+    for robot in found.robots.values():
+        cells = [
+            robot.robot,
+            *(
+                str(count)
+                for count in (
+                    robot.frames,
+                    robot.located_only_a,
+                    robot.located_only_b,
+                    robot.other_state,
+                    robot.other_leds,
+                )
+            ),
+        ]
+        for values, scale in (
+            (robot.position_m, 1e3),
+            (robot.rotation_rad, math.degrees(1.0)),
+            (robot.rms_px, 1.0),
+        ):
+            cells += [f"{scale * percentile(values, share):.3g}" for share in (50, 100)]
+        table.add_row(*cells)
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=160)
+    console.print(
+        f"{found.frames_both} frames in both, {found.frames_only_a} only in A, {found.frames_only_b} only in B"
+    )
+    console.print(table)
+    same = found.within(options.position, options.rotation)
+    console.print(
+        f"{'within' if same else 'beyond'} the tolerances ({options.position:g} m, {options.rotation:g} rad)",
+        highlight=False,
+    )
+    return 0 if same else 1

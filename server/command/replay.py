@@ -1,0 +1,101 @@
+"""asterism replay: publish a recording again with its original timing."""
+
+import argparse
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+
+from asterism.protocol import asterism_pb2 as pb
+from asterism.protocol.codec import decode_frame_report, encode_rig
+from asterism.protocol.errors import InputError
+from asterism.protocol.messages import FRAME_REPORT, Message
+from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
+from asterism.protocol.rig import Rig, load_rig
+from asterism.recordings.reader import Recording
+from asterism.server.command.say import say
+from asterism.server.publish import Publisher, is_alive
+from asterism.server.serve import Stop, stop_on_signals
+
+PREFIX = "replay/"
+LOCATED = (pb.TRACKED, pb.TILT_AMBIGUOUS)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Replay once, or with --loop until Ctrl-C."""
+    if options.listen and options.connect:
+        raise InputError("--listen and --connect exclude each other; --connect joins what is there as a client")
+    recording = Recording(options.recording)
+    rig = recording.rig()
+    if options.solve is not None:
+        rig = load_rig(options.solve)
+        if not recording.count_frames():
+            raise InputError(
+                f"{options.recording}: holds no frames; record with --record-frames all to solve them again"
+            )
+    stop = Stop()
+    with ExitStack() as stack:
+        session = open_server(options.listen, options.connect, options.zenoh)
+        if options.as_live and is_alive(session, rig.camera.name):
+            session.close()
+            raise InputError(
+                f"--as-live: the server of camera '{rig.camera.name}' is alive; its robots would follow two masters. "
+                "Stop it first, or replay without --as-live"
+            )
+        prefix = "" if options.as_live else PREFIX
+        publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig), prefix))
+        stack.enter_context(stop_on_signals(stop))
+        where = options.connect or options.listen or options.zenoh or DEFAULT_ENDPOINT
+        say(f"replaying {options.recording} at {where} under {prefix}asterism/{rig.camera.name}")
+        published = 0
+        while not stop():
+            source = _solved(recording, rig) if options.solve is not None else recording.messages()
+            published += _play(_wire(source), publisher, options.speed, stop)
+            if not options.loop:
+                break
+    say(f"{published} messages published")
+    return 0
+
+
+def _wire(messages: Iterator[Message]) -> Iterator[Message]:
+    return (message for message in messages if message.kind.on_wire)
+
+
+def _solved(recording: Recording, rig: Rig) -> Iterator[Message]:
+    """The messages that the recorded frames make with this rig, at the frames' own times."""
+    from asterism.protocol.camera import check_image_size
+    from asterism.server.frame import Frame
+    from asterism.server.pipeline import localize
+    from asterism.server.report import report
+    from asterism.server.track import Tracks
+    from asterism.server.warm_up import warm_up
+
+    warm_up()
+    tracks = Tracks.none()
+    for image, exposed_ns, index in recording.frames():
+        check_image_size(rig.camera, image.shape[1], image.shape[0], f"{recording.path}, frame {index}")
+        frame = Frame(image, exposed_ns, index, f"{index:06d}", exposed_ns)
+        result, tracks = localize(frame, rig, tracks)
+        # Solved again, the frame has no times of its own beyond its exposure.
+        yield from report(frame, result, rig, exposed_ns, exposed_ns)
+
+
+def _play(messages: Iterator[Message], publisher: Publisher, speed: float, stop: Stop) -> int:
+    """Publish messages, spaced as their publish times are; returns how many."""
+    count = 0
+    first_ns: int | None = None
+    start = time.perf_counter()
+    for message in messages:
+        if first_ns is None:
+            first_ns, start = message.publish_ns, time.perf_counter()
+        due = start + (message.publish_ns - first_ns) * 1e-9 / speed
+        while (left := due - time.perf_counter()) > 0 and not stop():
+            time.sleep(min(left, 0.05))
+        if stop():
+            break
+        publisher.publish([message])
+        count += 1
+        if message.kind.schema == FRAME_REPORT.schema:
+            report = decode_frame_report(message.payload)
+            publisher.show_visible(robot.id for robot in report.robots if robot.state in LOCATED)
+    publisher.show_visible(())
+    return count

@@ -1,0 +1,56 @@
+"""asterism review: a recording in the rerun viewer, with views laid out."""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import rerun as rr
+
+from asterism.protocol.codec import decode_frame_report, decode_image
+from asterism.protocol.errors import InputError, WorldError
+from asterism.protocol.messages import FRAME_REPORT, IMAGE
+from asterism.recordings.drawing import APPLICATION, Drawing, blueprint
+from asterism.recordings.reader import Recording
+from asterism.server.command.progress import progress
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write the rerun recording to -o, or to a temporary file that the viewer opens."""
+    recording = Recording(options.recording)
+    if options.out is not None:
+        if options.out.suffix != ".rrd":
+            raise InputError(f"{options.out}: expected a file name ending in .rrd")
+        write_rrd(recording, options.out)
+        print(f"{options.out}: open it with: rerun {options.out}")
+        return 0
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InputError("there is no display for the viewer; write a file instead: -o FILE.rrd")
+    with tempfile.TemporaryDirectory(prefix="asterism-review-") as folder:
+        file = Path(folder) / f"{options.recording.name}.rrd"
+        write_rrd(recording, file)
+        # The viewer would otherwise listen on every network interface.
+        return subprocess.run([sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(file)], check=False).returncode
+
+
+def write_rrd(recording: Recording, out: Path) -> None:
+    """Draw a whole recording into a rerun file. Raises WorldError if it cannot be written."""
+    rig = recording.rig()
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.touch()
+    except OSError as error:
+        raise WorldError(f"{out}: cannot be written ({error.strerror})") from None
+    stream = rr.RecordingStream(APPLICATION, recording_id=recording.path.name)
+    stream.save(out, default_blueprint=blueprint(rig))
+    drawing = Drawing(stream, rig)
+    total = recording.count_messages() + recording.count_frames()
+    for message in progress(recording.messages_and_images(), total, "drawing"):
+        if message.kind.schema == IMAGE.schema:
+            drawing.image(decode_image(message.payload), message.log_ns, message.sequence)
+        elif message.kind.schema == FRAME_REPORT.schema:
+            drawing.report(decode_frame_report(message.payload))
+    stream.flush()
+    stream.disconnect()

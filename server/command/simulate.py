@@ -1,0 +1,70 @@
+"""asterism simulate: frames of simulated robots, with truth."""
+
+import argparse
+import shutil
+from pathlib import Path
+
+import cv2
+import msgspec
+
+from asterism.protocol.errors import InputError, WorldError
+from asterism.protocol.rig import load_rig
+from asterism.server.command.progress import progress
+from asterism.server.simulate import Look, Scene
+from asterism.server.sources import DEFAULT_RATE_HZ
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write OUT/frames/NNNNN.png, OUT/truth.jsonl (in locate's format, with `visible`), and the rig's files."""
+    rig = load_rig(options.rig)
+    if options.glints < 0:
+        raise InputError(f"--glints: {options.glints}, expected 0 or more")
+    out: Path = options.out
+    frames = out / "frames"
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out}: exists already, expected a new or empty folder")
+    rate = options.rate or rig.capture.rate_hz or DEFAULT_RATE_HZ
+    scene = Scene(rig, options.seed, Look(hidden=options.hide, glints=options.glints))
+    encoder = msgspec.json.Encoder()
+    try:
+        frames.mkdir(parents=True)
+        (out / "rig.yaml").write_text(rig.rig_text)
+        camera_file = out / _camera_name(Path(options.rig), rig.rig_text)
+        camera_file.parent.mkdir(parents=True, exist_ok=True)
+        camera_file.write_text(rig.camera_text)
+        with (out / "truth.jsonl").open("wb") as truth_file:
+            for index in progress(range(options.frames), options.frames, "simulating"):
+                truth = scene.truth(index, index / rate)
+                name = f"{index:05d}.png"
+                if not cv2.imwrite(str(frames / name), scene.render(index, truth)):
+                    raise WorldError(f"{frames / name}: cannot be written; is the disk full?")
+                robots = []
+                for entry in truth:
+                    pose = entry.T_camera_robot
+                    if rig.T_world_camera is not None:
+                        pose = rig.T_world_camera @ pose
+                    robots.append(
+                        {
+                            "id": entry.robot,
+                            "position": pose.position.tolist(),
+                            "orientation": pose.orientation.tolist(),
+                            "visible": sum(entry.lit),
+                        }
+                    )
+                line = {"frame": name, "exposed_ns": round(index * 1e9 / rate), "robots": robots}
+                truth_file.write(encoder.encode(line) + b"\n")
+    except OSError as error:
+        shutil.rmtree(frames, ignore_errors=True)
+        raise WorldError(f"{out}: cannot be written ({error.strerror})") from None
+    print(f"{options.frames} frames in {frames}, their truth in {out / 'truth.jsonl'}")
+    return 0
+
+
+def _camera_name(rig_path: Path, rig_text: str) -> str:
+    """What the rig calls its camera file, made relative to the rig's copy."""
+    from asterism.protocol.yaml_file import parse_yaml
+
+    name = parse_yaml(rig_text, str(rig_path)).text("camera")
+    if Path(name).is_absolute() or ".." in Path(name).parts:
+        raise InputError(f"{rig_path}: camera: {name}, expected a file beside the rig to copy it")
+    return name

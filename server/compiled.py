@@ -1,0 +1,46 @@
+"""`compiled`: the decorator of every numerical kernel. Machine code is kept on disk for the next start.
+
+numba notices when the file of a kernel changes, but not when a kernel that it calls does. So the code is kept in a
+folder named after the contents of all modules: change one, and everything is compiled anew.
+"""
+
+import contextlib
+import hashlib
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+from numba import config, njit
+
+KEPT = 4  # folders of other versions that are left on disk
+
+
+def cache_folder() -> Path:
+    """Where this version's machine code lies: below XDG_CACHE_HOME or ~/.cache."""
+    contents = hashlib.sha256()
+    for module in sorted(Path(__file__).parent.glob("*.py")):
+        contents.update(module.read_bytes())
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "asterism" / contents.hexdigest()[:16]
+
+
+def _use(folder: Path) -> None:
+    if not folder.exists():
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True)
+            others = sorted(
+                (entry for entry in folder.parent.iterdir() if entry != folder),
+                key=lambda e: e.stat().st_mtime,
+            )
+            for old in others[:-KEPT]:
+                shutil.rmtree(old, ignore_errors=True)
+    if folder.exists():
+        config.CACHE_DIR = str(folder)
+
+
+if not os.environ.get("NUMBA_CACHE_DIR"):
+    _use(cache_folder())
+
+# The interpreter's lock is released, so that source, recorder and network go on beside the chain.
+compiled: Any = njit(cache=True, nogil=True)

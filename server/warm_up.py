@@ -1,0 +1,47 @@
+"""Compile the chain before it is needed: the first time on a machine that takes a while, and is said."""
+
+import sys
+import threading
+
+from asterism.protocol.rig import load_rig
+
+SAY_AFTER_S = 1.5
+
+
+def warm_up() -> None:
+    """Run every compiled function once; what is compiled is kept on disk for the next start."""
+    say = threading.Timer(
+        SAY_AFTER_S,
+        lambda: print(
+            "compiling the chain for this machine (only the first time; about a minute) ...",
+            file=sys.stderr,
+            flush=True,
+        ),
+    )
+    say.daemon = True
+    say.start()
+    try:
+        _run()
+    finally:
+        say.cancel()
+
+
+def _run() -> None:
+    from dataclasses import replace
+
+    from asterism.server.demo_rig import DEMO_RIG
+    from asterism.server.frame import Frame
+    from asterism.server.pipeline import localize
+    from asterism.server.simulate import Look, Scene
+    from asterism.server.track import Tracks
+
+    rig = load_rig(DEMO_RIG)
+    # Hidden LEDs and glints make sure that the rarer paths (rivals, touching spots) are compiled as well.
+    scene = Scene(rig, seed=1, look=Look(hidden=0.05, glints=20))
+    tracks = Tracks.none()
+    for index in range(2):
+        image = scene.render(index, scene.truth(index, index / 60.0))
+        for estimator in ("edge-model", "grey-square"):
+            frame = Frame(image, index * 16_666_667 + 1, index)
+            _, after = localize(frame, replace(rig, centre=estimator), tracks)
+        tracks = after
