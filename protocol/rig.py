@@ -14,6 +14,7 @@ from asterism.protocol.yaml_file import Section, parse_yaml, read_yaml
 ESTIMATORS = ("edge-model", "grey-square")
 COPLANAR = 0.02  # of the extent: LEDs farther from their common plane are refused
 SEPARATION = 0.02  # of the extent: constellations nearer than this cannot be told apart
+LARGEST_M = 5.0  # between two LEDs of a robot
 NEAREST_LEDS = 0.03  # of the extent: LEDs nearer than this would be one spot
 
 
@@ -240,6 +241,10 @@ def _leds(section: Section) -> Floats:
         raise section.error("leds", f"{len(rows)} positions, expected {LEDS}")
     leds = np.array(rows)
     size = extent(leds)
+    if size > LARGEST_M:
+        raise section.error(
+            "leds", f"the LEDs are up to {size:g} m apart, expected at most {LARGEST_M:g} m; is that mm?"
+        )
     spacing = np.linalg.norm(leds[:, None] - leds[None], axis=-1) + np.eye(LEDS) * 1e9
     first, second = (int(i) for i in np.unravel_index(int(np.argmin(spacing)), spacing.shape))
     if size == 0.0 or spacing[first, second] < NEAREST_LEDS * size:
@@ -248,8 +253,6 @@ def _leds(section: Section) -> Floats:
             f"LEDs {first} and {second} are {spacing[first, second] * 1e3:.3g} mm apart, expected at least "
             f"{NEAREST_LEDS:.0%} of the constellation's extent ({size * 1e3:.3g} mm)",
         )
-    if size > 100.0:
-        raise section.error("leds", f"the LEDs are {size:g} m apart; positions are in m, not mm")
     centred = leds - leds.mean(axis=0)
     _, lengths, axes = np.linalg.svd(centred)
     if lengths[1] < 0.05 * lengths[0]:

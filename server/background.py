@@ -107,7 +107,7 @@ def seed_thresholds(level, noise, sigmas, least, height, width, thresholds):
         for tx in range(tiles_x):
             base = level[i, tx] + fv * (level[i1, tx] - level[i, tx])
             rough = noise[i, tx] + fv * (noise[i1, tx] - noise[i, tx])
-            knots[tx] = min(base + max(sigmas * rough, least), 254.0)
+            knots[tx] = min(base + max(sigmas * rough, least), 255.0)
         row = thresholds[block]
         scale = tiles_x / width
         start = 0

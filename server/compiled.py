@@ -42,5 +42,6 @@ def _use(folder: Path) -> None:
 if not os.environ.get("NUMBA_CACHE_DIR"):
     _use(cache_folder())
 
-# The interpreter's lock is released, so that source, recorder and network go on beside the chain.
-compiled: Any = njit(cache=True, nogil=True)
+# The interpreter's lock is released, so that source, recorder and network go on beside the chain. Division by zero gives
+# inf or nan as in numpy; the kernels test for what must not be.
+compiled: Any = njit(cache=True, nogil=True, error_model="numpy")

@@ -128,11 +128,17 @@ def fit_edge_model(image, spot, neighbours, blur, gain, iterations, out):
                 rx += weight * gx * residual
                 ry += weight * gy * residual
         det = nxx * nyy - nxy * nxy
+        if not det > 0.0:
+            break
         step_x = (nyy * rx - nxy * ry) / det
         step_y = (nxx * ry - nxy * rx) / det
         cx += min(max(step_x, -LONGEST_STEP_PX), LONGEST_STEP_PX)
         cy += min(max(step_y, -LONGEST_STEP_PX), LONGEST_STEP_PX)
     det = nxx * nyy - nxy * nxy
+    if not det > 0.0:
+        # No pixel tells where the edge is: the coarse centre, and what that may be worth.
+        out[0], out[1], out[2], out[3], out[4], out[5] = spot[X], spot[Y], a * a, 0.0, a * a, 0.0
+        return
     out[0], out[1] = cx, cy
     out[2], out[3], out[4] = nyy / det, -nxy / det, nxx / det
     usual = side_variance + (EVENNESS * rise * math.pi * a * b) ** 2

@@ -5,10 +5,9 @@ want goes to the nearer. The pose is refined from the prediction; spots that do 
 does not fit then is left to the cold search of the same frame.
 """
 
-import math
-
 import numpy as np
 
+from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
 from asterism.server.planar import NO_SOLUTION, refine_pose
 from asterism.server.search import LEDS, SYSTEMATIC_PX
@@ -172,8 +171,8 @@ def gather_missing(flat, heights, free, layouts, rotations, ts, costs, brightnes
                 free[best] = False
 
 
-@compiled
-def gate_px(position_sigma, rotation_sigma, extent, focal, depth):
-    """Radius of the gate, px: three sigma of where an LED may be, and two pixels."""
-    swing = 0.5 * extent * rotation_sigma
-    return 2.0 + 3.0 * focal / depth * math.sqrt(position_sigma**2 + swing**2)
+def gates_px(position_sigmas: Floats, rotation_sigmas: Floats, extents: Floats, focal: float, depths: Floats) -> Floats:
+    """Radii (m,) of the gates, px: three sigma of where an LED may be, and two pixels."""
+    swing = 0.5 * extents * rotation_sigmas
+    gates: Floats = 2.0 + 3.0 * focal / depths * np.sqrt(position_sigmas**2 + swing**2)
+    return gates

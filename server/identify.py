@@ -4,15 +4,16 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
 from asterism.server import assign
 from asterism.server.blobs import Blobs, Ints
-from asterism.server.follow import follow, gate_px, gather_missing
+from asterism.server.follow import follow, gates_px, gather_missing
 from asterism.server.plan import MOST_TILT, Plan
 from asterism.server.planar import NO_SOLUTION
 from asterism.server.search import COST, LEDS, ROBOT, SYSTEMATIC_PX, refit_versions, search
-from asterism.server.track import Prediction, Track
+from asterism.server.track import HEIGHT, Tracks, predict
 
 WIDEST_GATE = 0.25  # of a constellation's image; beyond that a prediction is no help
 GATHER_PX = 1.5  # a found robot's missing LED is looked for this near to its place
@@ -33,7 +34,7 @@ class Matches:
     assignment: Ints
     rotations: Floats
     ts: Floats
-    is_warm: np.ndarray
+    is_warm: NDArray[np.bool_]
     doubts: dict[int, str] = field(default_factory=dict)
 
 
@@ -57,82 +58,64 @@ def rays_of(blobs: Blobs, rows: Ints, rays: Floats, covariances: Floats, focal: 
     return Rays(rows, flat, rays, covariances, variances, blobs.heights[rows], blobs.radii_px[rows])
 
 
-def identify(seen: Rays, plan: Plan, predictions: dict[int, tuple[Track, Prediction]]) -> Matches:
-    """Match spots to robots. ``predictions`` by robot index; the rest is searched cold."""
+Found = tuple[int, Ints, Floats, Floats]  # robot, spots, rotation, translation
+
+
+def identify(seen: Rays, plan: Plan, tracks: Tracks, exposed_ns: int) -> Matches:
+    """Match spots to robots: those that were there a moment ago first, the rest searched cold."""
     n_robots = len(plan.layouts)
     free = np.ones(len(seen.rows), np.bool_)
-    robots: list[int] = []
-    assignments, rotations, ts, warm = [], [], [], []
+    robots, assignment, rotations, ts = _follow(seen, free, plan, tracks, exposed_ns)
+    warm = np.ones(len(robots), np.bool_)
     doubts: dict[int, str] = {}
-    if predictions:
-        found = _follow(seen, free, plan, predictions)
-        for robot, spots, rotation, t in found:
-            robots.append(robot)
-            assignments.append(spots)
-            rotations.append(rotation)
-            ts.append(t)
-            warm.append(True)
     if len(robots) < n_robots and int(free.sum()) >= 5:
         claimed = np.zeros(n_robots, np.bool_)
         brightness = np.zeros(n_robots)
-        for robot, spots in zip(robots, assignments, strict=True):
-            claimed[robot] = True
-            brightness[robot] = float(np.median(seen.heights[spots[spots >= 0]])) / assign.MIRROR_RATIO**2
-        cold = _search(seen, free, plan, claimed, brightness)
-        for robot, spots, rotation, t in cold[0]:
-            robots.append(robot)
-            assignments.append(spots)
-            rotations.append(rotation)
-            ts.append(t)
-            warm.append(False)
-        doubts = cold[1]
-    return Matches(
-        np.array(robots, np.int64),
-        np.array(assignments, np.int64).reshape(-1, LEDS),
-        np.array(rotations).reshape(-1, 3, 3),
-        np.array(ts).reshape(-1, 3),
-        np.array(warm, np.bool_),
-        doubts,
-    )
+        claimed[robots] = True
+        # A robot that was followed to its place has no rival: only a much brighter one would count.
+        brightness[robots] = np.inf
+        found, doubts = _search(seen, free, plan, claimed, brightness)
+        if found:
+            robots = np.concatenate([robots, [entry[0] for entry in found]])
+            assignment = np.concatenate([assignment, [entry[1] for entry in found]])
+            rotations = np.concatenate([rotations, [entry[2] for entry in found]])
+            ts = np.concatenate([ts, [entry[3] for entry in found]])
+            warm = np.concatenate([warm, np.zeros(len(found), np.bool_)])
+    return Matches(robots, assignment, rotations, ts, warm, doubts)
 
 
-Found = tuple[int, Ints, Floats, Floats]
-
-
-def _follow(seen: Rays, free: np.ndarray, plan: Plan, predictions: dict[int, tuple[Track, Prediction]]) -> list[Found]:
-    """Warm matching of the robots whose prediction is good enough."""
-    usable = []
-    for robot, (track, prediction) in predictions.items():
-        depth = float(prediction.t[2])
-        if depth <= 0.0:
-            continue
-        extent = float(plan.extents[robot])
-        gate = gate_px(prediction.position_sigma, prediction.rotation_sigma, extent, plan.focal, depth)
-        if gate <= WIDEST_GATE * extent * plan.focal / depth:
-            usable.append((robot, track, prediction, gate))
-    if not usable:
-        return []
-    index = np.array([entry[0] for entry in usable])
-    rotations = np.array([entry[2].rotation for entry in usable])
-    ts = np.array([entry[2].t for entry in usable])
-    gates = np.array([entry[3] for entry in usable])
-    heights = np.array([entry[1].height for entry in usable])
-    assignment = np.full((len(usable), LEDS), -1)
-    costs = np.empty(len(usable))
+def _follow(
+    seen: Rays, free: NDArray[np.bool_], plan: Plan, tracks: Tracks, exposed_ns: int
+) -> tuple[Ints, Ints, Floats, Floats]:
+    """Warm matching of the robots whose prediction is good enough: robots, spots, rotations, translations."""
+    n = len(plan.layouts)
+    index, rotations, ts, sigmas = np.empty(n, np.int64), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 2))
+    count = predict(
+        tracks.seen_ns, tracks.rotations, tracks.ts, tracks.velocities, tracks.turns, tracks.numbers, exposed_ns,
+        index, rotations, ts, sigmas,
+    )  # fmt: skip
+    index, rotations, ts, sigmas = index[:count], rotations[:count], ts[:count], sigmas[:count]
+    depths, extents = np.maximum(ts[:, 2], 1e-6), plan.extents[index]
+    gates = gates_px(sigmas[:, 0], sigmas[:, 1], extents, plan.focal, depths)
+    usable = (ts[:, 2] > 0.0) & (gates <= WIDEST_GATE * extents * plan.focal / depths)
+    if not usable.all():
+        index, rotations, ts, gates = index[usable], rotations[usable], ts[usable], gates[usable]
+    heights = tracks.numbers[index, HEIGHT]
+    assignment, costs = np.full((len(index), LEDS), -1), np.empty(len(index))
     layouts = plan.layouts[index]
     follow(
         seen.flat, seen.rays, seen.variances, seen.heights, free, layouts, rotations, ts, gates, heights,
         plan.focal, assignment, costs,
     )  # fmt: skip
     gather_missing(
-        seen.flat, seen.heights, free, layouts, rotations, ts, costs, heights, plan.focal, GATHER_PX,
-        assignment,
+        seen.flat, seen.heights, free, layouts, rotations, ts, costs, heights, plan.focal, GATHER_PX, assignment,
     )  # fmt: skip
-    return [(int(index[k]), assignment[k], rotations[k], ts[k]) for k in range(len(usable)) if costs[k] < NO_SOLUTION]
+    good = costs < NO_SOLUTION
+    return index[good], assignment[good], rotations[good], ts[good]
 
 
 def _search(
-    seen: Rays, free: np.ndarray, plan: Plan, claimed: np.ndarray, brightness: Floats
+    seen: Rays, free: NDArray[np.bool_], plan: Plan, claimed: NDArray[np.bool_], brightness: Floats
 ) -> tuple[list[Found], dict[int, str]]:
     """Cold search and global assignment."""
     known = claimed.copy()
@@ -171,7 +154,7 @@ def _search(
 
 
 def _versions(
-    robot: int, spots: Ints, sigma_px: float, seen: Rays, free: np.ndarray, plan: Plan, wanted: int
+    robot: int, spots: Ints, sigma_px: float, seen: Rays, free: NDArray[np.bool_], plan: Plan, wanted: int
 ) -> list[assign.Hypothesis]:
     """Score a fit, and what it is without each of its LEDs: one of them may be somebody else's light.
 

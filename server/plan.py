@@ -27,7 +27,17 @@ class Plan:
         self.lens: Floats = lens_of(camera)
         self.focal = math.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1])
         self.layouts: Floats = np.ascontiguousarray([robot.leds_plane for robot in rig.robots])
-        self.Ts_robot_plane: list[Pose] = [robot.T_robot_plane for robot in rig.robots]
+        self.plane_rotations: Floats = np.array([robot.T_robot_plane.rotation for robot in rig.robots])
+        self.plane_origins: Floats = np.array([robot.T_robot_plane.position for robot in rig.robots])
+        self.axes: Floats = np.array([robot.T_robot_plane.rotation.T @ robot.axis for robot in rig.robots])
+        self.normals: Floats = np.array(
+            [robot.normal.world if robot.normal is not None else np.zeros(3) for robot in rig.robots]
+        )
+        self.within: Floats = np.array(
+            [robot.normal.within_rad if robot.normal is not None else -1.0 for robot in rig.robots]
+        )
+        T_parent_camera = rig.T_world_camera or Pose.identity()
+        self.view, self.eye = T_parent_camera.rotation, T_parent_camera.position.copy()
         self.extents = np.array([robot.extent for robot in rig.robots])
         self.separations = np.full(len(rig.robots), np.inf)
         for confusion in confusions([robot.leds_plane[:, :2] for robot in rig.robots]):

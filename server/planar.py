@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from asterism.server.compiled import compiled
+from asterism.server.rotations import exp_into, product_into
 
 HUBER2 = 9.0  # squared Mahalanobis distance beyond which a residual counts linearly
 NO_SOLUTION = 1e18
@@ -252,30 +253,11 @@ def normal_equations(rotation, t, points, rays, information, a, b):
 
 
 @compiled
-def turn_by(rotvec, rotation, out):
-    """out = exp(rotvec) @ rotation, all (3, 3) and (3,)."""
-    x, y, z = rotvec[0], rotvec[1], rotvec[2]
-    angle2 = x * x + y * y + z * z
-    if angle2 < 1e-10:
-        s, c = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
-    else:
-        angle = math.sqrt(angle2)
-        s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle2
-    e00, e01, e02 = 1.0 - c * (y * y + z * z), -s * z + c * x * y, s * y + c * x * z
-    e10, e11, e12 = s * z + c * x * y, 1.0 - c * (x * x + z * z), -s * x + c * y * z
-    e20, e21, e22 = -s * y + c * x * z, s * x + c * y * z, 1.0 - c * (x * x + y * y)
-    for j in range(3):
-        r0, r1, r2 = rotation[0, j], rotation[1, j], rotation[2, j]
-        out[0, j] = e00 * r0 + e01 * r1 + e02 * r2
-        out[1, j] = e10 * r0 + e11 * r1 + e12 * r2
-        out[2, j] = e20 * r0 + e21 * r1 + e22 * r2
-
-
-@compiled
 def refine_pose(rotation, t, points, rays, information, iterations):
     """Levenberg-Marquardt on rotation and translation, in place; returns the robust cost."""
     a = np.empty((6, 6))
     b = np.empty(6)
+    step = np.empty((3, 3))
     new_rotation = np.empty((3, 3))
     new_t = np.empty(3)
     cost = pose_cost(rotation, t, points, rays, information)
@@ -289,7 +271,8 @@ def refine_pose(rotation, t, points, rays, information, iterations):
         if not cholesky_solve(a, b):
             damping = damping * 10.0 + 1e-3
             continue
-        turn_by(b[3:], rotation, new_rotation)
+        exp_into(b[3], b[4], b[5], step)
+        product_into(step, rotation, new_rotation)
         new_t[0], new_t[1], new_t[2] = t[0] + b[0], t[1] + b[1], t[2] + b[2]
         new_cost = pose_cost(new_rotation, new_t, points, rays, information)
         if new_cost <= cost:

@@ -197,7 +197,7 @@ def _misfit(layout, led, rotation, t, ray):
 
 
 @compiled
-def _median_height(heights, spots):
+def median_height(heights, spots):
     """Median height of the spots that are visible."""
     values = np.empty(LEDS)
     count = 0
@@ -410,7 +410,7 @@ def search(
                             depth_m = ts[which, 2]
                             if not 0.8 * near <= depth_m <= 1.25 * far:
                                 continue
-                            height = _median_height(heights, labels)
+                            height = median_height(heights, labels)
                             if claimed[robot] and height < MIRROR_RATIO * brightness[robot]:
                                 continue
                             # Residual norm, m, at the robot: far below the separation no other robot fits as well.

@@ -33,26 +33,38 @@ _SURPRISE = np.array([0.0, 0.0, 0.0, 0.0, 13.8, 18.5, 22.5])
 class Alternative:
     """The other pose that explains the spots, in the same frame, and how many times less likely it is."""
 
-    pose: Pose
+    position: Floats  # (3,) m
+    orientation: Floats  # (4,) x y z w
     odds: float
+
+    @property
+    def pose(self) -> Pose:
+        """The same as a transform."""
+        return Pose(self.position, self.orientation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseEstimate:
     """A robot's pose in one frame.
 
-    ``pose`` is T_world_robot (T_camera_robot where the rig places no camera), ``covariance`` (6, 6) in m and rad: x, y,
-    z, rotation about x, y, z of the parent frame. ``leds`` (k,) are the LEDs it rests on, ``spots`` (k,) the rows of
-    the frame's blobs they are, ``residuals_px`` (k, 2) observed minus predicted.
+    ``position`` and ``orientation`` are T_world_robot (T_camera_robot where the rig places no camera); ``covariance``
+    (6, 6) in m and rad: x, y, z, rotation about x, y, z of the parent frame. ``leds`` (k,) are the LEDs it rests on,
+    ``spots`` (k,) the rows of the frame's blobs they are, ``residuals_px`` (k, 2) observed minus predicted.
     """
 
-    pose: Pose
+    position: Floats  # (3,) m
+    orientation: Floats  # (4,) x y z w
     covariance: Floats
     leds: tuple[int, ...]
     spots: tuple[int, ...]
     residuals_px: Floats
     rms_px: float
     alternative: Alternative | None
+
+    @property
+    def pose(self) -> Pose:
+        """The same as a transform."""
+        return Pose(self.position, self.orientation)
 
     @property
     def state(self) -> str:
@@ -144,8 +156,8 @@ def solve_robots(
     """Solve every matched robot.
 
     ``layouts`` (m, 6, 3) m; ``assignment`` (m, 6) spots or -1, changed where one of six spots turns out to be
-    odd; ``rays`` (n, 2), ``ray_covariances`` (n, 3) and ``centres`` (n, 2) px of the spots; ``start_rotations`` (m, 3, 3),
-    ``start_ts`` (m, 3) from the matching, of use where ``is_warm`` (m,); ``lens`` as in `lens`.
+    odd; ``rays`` (n, 2), ``ray_covariances`` (n, 3) and ``centres`` (n, 2) px of the spots; ``start_rotations``
+    (m, 3, 3) and ``start_ts`` (m, 3) from the matching, of use where ``is_warm`` (m,); ``lens`` as in `lens`.
 
     Fills, for both minima of every robot, ``rotations`` (m, 2, 3, 3) and ``ts`` (m, 2, 3) = T_camera_plane,
     ``costs`` (m, 2) (chi squared; NO_SOLUTION where there is none or it faces away), ``covariances`` (m, 2, 6, 6) of
@@ -199,7 +211,7 @@ def solve_robots(
             q = rotation @ centre
             for i in range(3):
                 t[i] -= q[i]
-            _move_origin(covariances[robot, which], -q)
+            move_origin(covariances[robot, which], -q)
             for led in range(LEDS):
                 residuals[robot, which, led, :] = 0.0
                 if spots[led] >= 0:
@@ -231,7 +243,7 @@ def _invert(a, out):
 
 
 @compiled
-def _move_origin(covariance, arm):
+def move_origin(covariance, arm):
     """Covariance (6, 6) of pose, translation first, when its origin moves by ``arm`` (3,), in the parent's axes."""
     # dt' = dt + w x arm
     j = np.eye(6)
@@ -239,28 +251,3 @@ def _move_origin(covariance, arm):
     j[1, 3], j[1, 5] = -arm[2], arm[0]
     j[2, 3], j[2, 4] = arm[1], -arm[0]
     covariance[:, :] = j @ covariance @ j.T
-
-
-def parent_pose(
-    T_parent_camera: Pose | None, T_robot_plane: Pose, rotation: Floats, t: Floats, covariance: Floats
-) -> tuple[Pose, Floats]:
-    """T_parent_robot and its covariance (6, 6) from T_camera_plane (rotation, t) and the plane's covariance."""
-    turn = rotation @ T_robot_plane.rotation.T  # R_camera_robot
-    arm = -turn @ T_robot_plane.position  # the robot's origin, seen from the plane's
-    moved = covariance.copy()
-    _move_origin(moved, arm)
-    position = t + arm
-    if T_parent_camera is not None:
-        view = T_parent_camera.rotation
-        turn = view @ turn
-        position = view @ position + T_parent_camera.position
-        both = np.zeros((6, 6))
-        both[:3, :3] = both[3:, 3:] = view
-        moved = both @ moved @ both.T
-    return Pose.from_matrix(turn, position), 0.5 * (moved + moved.T)
-
-
-def axis_angle_cost(direction: Floats, wanted: Floats, within_rad: float, sigma_rad: float) -> float:
-    """Squared sigmas by which a direction (3,) leaves the cone around a wanted one (3,), both unit vectors."""
-    off = math.acos(min(max(float(direction @ wanted), -1.0), 1.0)) - within_rad
-    return (off / sigma_rad) ** 2 if off > 0.0 else 0.0
