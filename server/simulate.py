@@ -20,7 +20,6 @@ from asterism.server.lens import lens_of, project_point
 DEFAULT_LED_RADIUS = 0.0025  # m, where the rig does not say
 CLEARANCE = 0.03  # m, of the LEDs above the surface
 SPEED = 0.12  # m/s, of the robots
-DISC_RINGS = 7  # rings of sample points on an LED's disc
 PATCH_SIGMAS = 5.0  # reach of a point's light
 NOISE_BANK = 4  # frames of background noise that are drawn from
 
@@ -79,6 +78,8 @@ class Scene:
         self.pulse = SPEED / max(room, 0.02) * rng.uniform(0.6, 1.0, n)  # rad/s
         self.led_brightness = rng.uniform(0.88, 1.12, (n, 6))
         self.half_width = half_x
+        radius = max(robot.led_radius or DEFAULT_LED_RADIUS for robot in rig.robots)
+        self._quadrature = quadrature(1.2 * radius * float(camera.matrix[0, 0]) / distance, self.look.psf_px)
         self._bank = self._noise_bank()
 
     def surface(self, x: float, y: float) -> tuple[float, float, float]:
@@ -133,7 +134,9 @@ class Scene:
                 if not entry.lit[number] or facing <= 0.0 or led[2] <= 0.0:
                     continue
                 level = look.brightness * float(self.led_brightness[k, number]) * facing
-                x0, y0, size_x, size_y = trace_disc(self.lens, led, normal, radius, look.psf_px, DISC_RINGS, light)
+                x0, y0, size_x, size_y = trace_disc(
+                    self.lens, led, normal, radius, look.psf_px, *self._quadrature, light
+                )
                 patch = level * light[:size_y, :size_x]
                 _expose(image, patch, x0, y0, look, rng)
         for _ in range(look.glints):
@@ -203,12 +206,13 @@ def _glint(rng: np.random.Generator, width: int, height: int, psf_px: float) -> 
 
 
 @compiled
-def trace_disc(lens, centre, normal, radius, psf, rings, light):
+def trace_disc(lens, centre, normal, radius, psf, nodes, weights, spokes, light):
     """Image of a uniform disc, plateau 1, summed into ``light`` (h, w) from its corner on.
 
-    ``centre`` (3,) and ``normal`` (3,) in the camera's frame, ``radius`` m, ``psf`` px. Returns x, y of the corner in
-    the image and the patch's width and height. Points stand on rings with equal area each; each point's light is the
-    product of two differences of error functions, the exact integral of the Gaussian over the pixels.
+    ``centre`` (3,) and ``normal`` (3,) in the camera's frame, ``radius`` m, ``psf`` px. The disc is integrated over
+    the squared radius (Gauss-Legendre ``nodes`` and ``weights`` (k,) on 0..1) and the angle (``spokes`` even steps);
+    each point's light is the product of two differences of error functions, the exact integral of the Gaussian over
+    the pixels. Returns x, y of the corner in the image and the patch's width and height.
     """
     # Two directions in the disc's plane.
     ax, ay, az = (0.0, -normal[2], normal[1]) if abs(normal[0]) < 0.7 else (-normal[1], normal[0], 0.0)
@@ -226,24 +230,16 @@ def trace_disc(lens, centre, normal, radius, psf, rings, light):
     light[:size, :size] = 0.0
     across, down = np.empty(size), np.empty(size)
     scale = 1.0 / (psf * math.sqrt(2.0))
-    total = 0
-    for ring in range(rings):
-        total += 1 if ring == 0 else 6 * ring
-    # Every point stands for the same area of the disc; pixels count light in units of the plateau.
+    # The disc's area in the image, px^2: pixels count light in units of the plateau.
     h = 1e-6
     px, py = project_point(lens, centre[0] + h * ax, centre[1] + h * ay, centre[2] + h * az)
     qx, qy = project_point(lens, centre[0] + h * bx, centre[1] + h * by, centre[2] + h * bz)
     area = abs((px - cx) * (qy - cy) - (py - cy) * (qx - cx)) / (h * h) * math.pi * radius * radius
-    share = area / total
-    done = 0
-    for ring in range(rings):
-        points = 1 if ring == 0 else 6 * ring
-        # The ring's radius halves the area between its borders.
-        inner, outer = done / total, (done + points) / total
-        done += points
-        r = radius * math.sqrt(0.5 * (inner + outer)) if ring > 0 else 0.0
-        for k in range(points):
-            angle = 2.0 * math.pi * (k + 0.5 * (ring % 2)) / points
+    for ring in range(nodes.shape[0]):
+        r = radius * math.sqrt(nodes[ring])
+        share = area * weights[ring] / spokes
+        for k in range(spokes):
+            angle = 2.0 * math.pi * (k + 0.5 * (ring % 2)) / spokes
             u, v = r * math.cos(angle), r * math.sin(angle)
             x, y = project_point(
                 lens,
@@ -265,3 +261,10 @@ def trace_disc(lens, centre, normal, radius, psf, rings, light):
                 for j in range(size):
                     light[i, j] += share * down[i] * across[j]
     return x0, y0, size, size
+
+
+def quadrature(radius_px: float, psf_px: float) -> tuple[Floats, Floats, int]:
+    """Nodes and weights over the squared radius and the number of spokes that integrate a disc to 0.02 %."""
+    blurs = radius_px / psf_px
+    nodes, weights = np.polynomial.legendre.leggauss(max(4, math.ceil(0.7 * blurs) + 2))
+    return 0.5 * (nodes + 1.0), 0.5 * weights, max(12, math.ceil(4.0 * blurs))
