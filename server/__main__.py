@@ -12,11 +12,11 @@ from asterism.protocol import VERSION
 from asterism.protocol.errors import InputError, WorldError
 
 _EXAMPLES = """\
-asterism demo                                   five simulated robots: localized, published, recorded, watched
-asterism serve rig.yaml /dev/video0             localize what a camera sees
-asterism locate rig.yaml frames/ -o poses.jsonl poses of a folder of images
-asterism watch                                  live table of every robot
-asterism review RECORDING                       look at a recording in the rerun viewer
+asterism demo                                     five simulated robots: localized, published, recorded, watched
+asterism serve rig.yaml /dev/video0               localize what a camera sees
+asterism locate rig.yaml frames/ -o poses.jsonl   poses of a folder of images
+asterism watch                                    live table of every robot
+asterism review RECORDING                         look at a recording in the rerun viewer
 """
 
 _SOURCE = "a camera (0, /dev/video0), a folder or glob of images, a video, a recording, or sim"

@@ -41,8 +41,10 @@ def _neighbours_of(spots, order, place, widest, neighbours, other):
             near = spots[order[step]]
             if abs(near[X] - spot[X]) > spot[SEMI_A] + widest + NEIGHBOUR_REACH_PX:
                 break
-            gap = math.hypot(near[X] - spot[X], near[Y] - spot[Y]) - spot[SEMI_A] - near[SEMI_A]
-            if gap < NEIGHBOUR_REACH_PX and count < MOST_NEIGHBOURS:
+            away = math.hypot(near[X] - spot[X], near[Y] - spot[Y])
+            gap = away - spot[SEMI_A] - near[SEMI_A]
+            # What the spot lies in the middle of is its background, not its neighbour.
+            if gap < NEIGHBOUR_REACH_PX and away > near[SEMI_A] and count < MOST_NEIGHBOURS:
                 neighbours[count, 0], neighbours[count, 1], neighbours[count, 2] = (
                     near[X],
                     near[Y],

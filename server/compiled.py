@@ -1,7 +1,7 @@
 """`compiled`: the decorator of every numerical kernel. Machine code is kept on disk for the next start.
 
 numba notices when the file of a kernel changes, but not when a kernel that it calls does. So the code is kept in a
-folder named after the contents of all modules: change one, and everything is compiled anew.
+folder named after the contents of all modules with kernels: change one, and everything is compiled anew.
 """
 
 import contextlib
@@ -20,7 +20,9 @@ def cache_folder() -> Path:
     """Where this version's machine code lies: below XDG_CACHE_HOME or ~/.cache."""
     contents = hashlib.sha256()
     for module in sorted(Path(__file__).parent.glob("*.py")):
-        contents.update(module.read_bytes())
+        text = module.read_bytes()
+        if b"import compiled" in text or module.name == Path(__file__).name:
+            contents.update(text)
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "asterism" / contents.hexdigest()[:16]
 
@@ -42,6 +44,6 @@ def _use(folder: Path) -> None:
 if not os.environ.get("NUMBA_CACHE_DIR"):
     _use(cache_folder())
 
-# The interpreter's lock is released, so that source, recorder and network go on beside the chain. Division by zero gives
-# inf or nan as in numpy; the kernels test for what must not be.
+# The interpreter's lock is released, so that source, recorder and network go on beside the chain. Division by zero
+# gives inf or nan as in numpy; the kernels test for what must not be.
 compiled: Any = njit(cache=True, nogil=True, error_model="numpy")

@@ -125,7 +125,8 @@ def _search(
     claim_rotations, pending_rotations = np.empty((MOST_CLAIMS, 3, 3)), np.empty((MOST_PENDING, 3, 3))
     claim_ts, pending_ts = np.empty((MOST_CLAIMS, 3)), np.empty((MOST_PENDING, 3))
     n_claims, n_pending, _ = search(
-        seen.flat, seen.rays, seen.variances, seen.heights, free, plan.layouts, plan.separations, claimed, brightness,
+        seen.flat, seen.rays, seen.variances, seen.heights, seen.radii, free, plan.layouts, plan.separations, claimed,
+        brightness,
         plan.convex, plan.concave, plan.focal, plan.near, plan.far, MOST_TILT, plan.reach_px,
         claims, claim_values, claim_rotations, claim_ts, pending, pending_values, pending_rotations, pending_ts,
     )  # fmt: skip

@@ -14,7 +14,7 @@ from asterism.server.lens import lens_of
 from asterism.server.quads import QuadTable
 
 MOST_TILT = math.cos(math.radians(75.0))  # beyond that a plate shows no LED worth measuring
-LARGEST_SPOT = 0.0125  # of the image's diagonal, where the rig does not say how large the LEDs are
+LARGEST_SPOT = 0.02  # of the image's diagonal, where the rig does not say how large the LEDs are
 LED_MARGIN = 1.6  # an LED's spot may be this much larger than its disc, and two pixels
 
 

@@ -21,6 +21,7 @@ MOST_QUADS = 400_000  # a frame; beyond that only the nearer combinations were t
 SMALLEST_QUAD_PX2 = 30.0  # twice the area: smaller ones say nothing
 REACH_PX = 3.0  # how far a LED may lie from where the homography of four puts it
 BRIGHTNESS_RATIO = 0.2  # of the dimmest to the brightest LED of a robot, at least
+RADIUS_RATIO = 0.4  # of the smallest to the largest
 MIRROR_RATIO = 0.6  # a second explanation of a robot is a mirror image if it is dimmer than this
 SYSTEMATIC_PX = 0.25  # what calibration and LED positions may be off, one sigma
 CHI2_SIX = 22.5  # six degrees of freedom, 99.9 %
@@ -218,6 +219,7 @@ def search(
     rays,
     variances,
     heights,
+    radii,
     free,
     layouts,
     separations,
@@ -242,7 +244,7 @@ def search(
     """Search the spots that are ``free`` for the robots.
 
     ``flat`` (n, 2) ideal px, y up; ``rays`` (n, 2) the same as x / z, y / z (y down); ``variances`` (n,) of the rays,
-    ``heights`` (n,); ``layouts`` (robots, 6, 3) m; ``separations`` (robots,) m, from any other robot and any other
+    ``heights`` (n,), ``radii`` (n,) px; ``layouts`` (robots, 6, 3) m; ``separations`` (robots,) m, from any other robot and any other
     labelling; ``claimed`` (robots,) and ``brightness`` (robots,) of robots that are known already, for which only
     brighter rivals are of interest. ``convex`` and ``concave`` are the quad table. ``near`` and ``far`` m,
     ``most_tilt`` the cosine of the largest tilt, ``reach`` px between LEDs of one robot.
@@ -300,10 +302,11 @@ def search(
                         if not free[l]:
                             continue
                         members[0], members[1], members[2], members[3] = i, j, k, l
-                        low, high = heights[i], heights[i]
+                        low, high, small, large = heights[i], heights[i], radii[i], radii[i]
                         for m in range(1, 4):
                             low, high = min(low, heights[members[m]]), max(high, heights[members[m]])
-                        if low < BRIGHTNESS_RATIO * high:
+                            small, large = min(small, radii[members[m]]), max(large, radii[members[m]])
+                        if low < BRIGHTNESS_RATIO * high or small < RADIUS_RATIO * large:
                             continue
                         quads += 1
                         if quads > MOST_QUADS:
@@ -360,6 +363,8 @@ def search(
                                         if not taken and (
                                             heights[near_spot] >= BRIGHTNESS_RATIO * high
                                             and low >= BRIGHTNESS_RATIO * heights[near_spot]
+                                            and radii[near_spot] >= RADIUS_RATIO * large
+                                            and small >= RADIUS_RATIO * radii[near_spot]
                                         ):
                                             best, best2 = near_spot, away2
                                 if best >= 0:

@@ -53,6 +53,8 @@ TOO_FAINT = int(Fate.TOO_FAINT)
 MISSHAPEN = int(Fate.MISSHAPEN)
 
 MARGIN_PX = 3  # of the window around a spot; the ring of its outermost pixels shows the background
+REGION_MARGIN_PX = 4  # the same around the upper part of a region of a split component
+UPPER_PART = 0.3  # of a region's height above its surroundings
 LARGEST_COMPONENT_PX = 40_000  # beyond that a component is a patch of glare: not worth splitting
 SMALLEST_AREA_PX = 3
 LARGEST_ASPECT = 2.6  # a disc seen at 65 degrees
@@ -333,6 +335,12 @@ def _looks_single(component, spot, area):
 
 
 @compiled
+def _at_edge(image, x0, x1, y0, y1):
+    """Whether a box (exclusive ends) reaches the edge of the image, so that light may be cut off."""
+    return x0 < 2 or y0 < 2 or x1 > image.shape[1] - 2 or y1 > image.shape[0] - 2
+
+
+@compiled
 def measure_spots(image, thresholds, table, n_components, level, noise, sigmas, least, largest_radius, masks, spots):
     """Fill ``spots`` (capacity, SPOT_COLUMNS) from ``n_components`` rows of ``table``; return how many there are.
 
@@ -366,7 +374,7 @@ def measure_spots(image, thresholds, table, n_components, level, noise, sigmas, 
             fate = TOO_SMALL
         elif (x1 - x0) * (y1 - y0) > LARGEST_COMPONENT_PX:
             fate = TOO_LARGE
-        elif x0 < 2 or y0 < 2 or x1 > width - 2 or y1 > height - 2:
+        elif _at_edge(image, x0, x1, y0, y1) and max(x1 - x0, y1 - y0) <= 4.0 * largest_radius:
             fate = AT_EDGE
         for m in range(masks.shape[0]):
             if masks[m, 0] <= cx <= masks[m, 2] and masks[m, 1] <= cy <= masks[m, 3]:
@@ -379,7 +387,7 @@ def measure_spots(image, thresholds, table, n_components, level, noise, sigmas, 
             image, wx0, wx1, wy0, wy1, base, rough, faintest
         )
         area, share = _shape(image, nothing, -1, wx0, wx1, wy0, wy1, spot)
-        if spot[SHOULDER] == 0.0 and _looks_single(component, spot, area):
+        if spot[SHOULDER] == 0.0 and _looks_single(component, spot, area) and not _at_edge(image, x0, x1, y0, y1):
             spot[FATE] = _judge(spot, area, share, faintest, largest_radius)
             count += 1
             continue
@@ -388,7 +396,7 @@ def measure_spots(image, thresholds, table, n_components, level, noise, sigmas, 
             labels = np.empty(cells, np.int32)
         n_regions = watershed(image, thresholds, wx0, wx1, wy0, wy1, base, rough, labels, regions)
         _keep_group(labels[:cells], regions, n_regions, component)
-        count = _measure_regions(image, labels, n_regions, spot.copy(), faintest, largest_radius, spots, count)
+        count = _measure_regions(image, labels, regions, n_regions, spot.copy(), faintest, largest_radius, spots, count)
     return count
 
 
@@ -422,27 +430,56 @@ def _keep_group(labels, regions, n_regions, component):
 
 
 @compiled
-def _measure_regions(image, labels, n_regions, whole, faintest, largest_radius, spots, count):
+def _region_boxes(image, labels, regions, n_regions, whole, boxes, cut):
+    """Boxes (n, 4) x0, x1, y0, y1 (exclusive ends) of the upper part of every region, above what surrounds it.
+
+    Lower down a region's pixels are shared out between neighbours by chance. ``cut`` (n,) is set where a region
+    reaches the edge of the image. Returns how many regions have any pixel.
+    """
+    wx0, wx1, wy0, wy1 = int(whole[WX0]), int(whole[WX1]), int(whole[WY0]), int(whole[WY1])
+    boxes[:, 0], boxes[:, 1], boxes[:, 2], boxes[:, 3] = wx1, wx0, wy1, wy0
+    cut[:] = False
+    for y in range(wy0, wy1):
+        for x in range(wx0, wx1):
+            region = labels[(y - wy0) * (wx1 - wx0) + x - wx0]
+            if region < 0:
+                continue
+            cut[region] |= _at_edge(image, x, x + 1, y, y + 1)
+            foot = max(regions[region, 1], whole[LEVEL])
+            if image[y, x] > foot + UPPER_PART * (regions[region, 0] - foot):
+                box = boxes[region]
+                box[0], box[1] = min(box[0], x), max(box[1], x + 1)
+                box[2], box[3] = min(box[2], y), max(box[3], y + 1)
+    count = 0
+    for region in range(n_regions):
+        count += boxes[region, 0] < boxes[region, 1]
+    return count
+
+
+@compiled
+def _ring_quartile(image, x0, x1, y0, y1):
+    """The lower quartile of a window's outermost pixels: its surroundings, whatever shines into it from one side."""
+    values = np.empty(2 * (x1 - x0) + 2 * (y1 - y0))
+    count = 0
+    for y in range(y0, y1):
+        for x in range(x0, x1, 1 if y in (y0, y1 - 1) else x1 - x0 - 1):
+            values[count] = image[y, x]
+            count += 1
+    return np.partition(values[:count], count // 4)[count // 4]
+
+
+@compiled
+def _measure_regions(image, labels, regions, n_regions, whole, faintest, largest_radius, spots, count):
     """Measure every region of a split component as a spot of its own; return the new number of spots."""
     wx0, wx1, wy0, wy1 = int(whole[WX0]), int(whole[WX1]), int(whole[WY0]), int(whole[WY1])
     width = wx1 - wx0
-    present = np.zeros(max(n_regions, 1), np.bool_)
-    for cell in range((wx1 - wx0) * (wy1 - wy0)):
-        if labels[cell] >= 0:
-            present[labels[cell]] = True
-    alone = np.count_nonzero(present)
+    boxes, cut = np.empty((max(n_regions, 1), 4), np.int64), np.empty(max(n_regions, 1), np.bool_)
+    alone = _region_boxes(image, labels, regions, n_regions, whole, boxes, cut)
     for region in range(n_regions):
-        if not present[region] or count == spots.shape[0]:
+        if boxes[region, 0] >= boxes[region, 1] or count == spots.shape[0]:
             continue
-        # The region's own window, and its ring, within the component's window.
-        x0, x1, y0, y1 = wx1, wx0, wy1, wy0
-        for y in range(wy0, wy1):
-            for x in range(wx0, wx1):
-                if labels[(y - wy0) * width + x - wx0] == region:
-                    x0, x1 = min(x0, x), max(x1, x + 1)
-                    y0, y1 = min(y0, y), max(y1, y + 1)
-        x0, x1 = max(x0 - MARGIN_PX, wx0), min(x1 + MARGIN_PX, wx1)
-        y0, y1 = max(y0 - MARGIN_PX, wy0), min(y1 + MARGIN_PX, wy1)
+        x0, x1 = max(boxes[region, 0] - REGION_MARGIN_PX, wx0), min(boxes[region, 1] + REGION_MARGIN_PX, wx1)
+        y0, y1 = max(boxes[region, 2] - REGION_MARGIN_PX, wy0), min(boxes[region, 3] + REGION_MARGIN_PX, wy1)
         own = np.empty((x1 - x0) * (y1 - y0), np.int32)
         for y in range(y0, y1):
             for x in range(x0, x1):
@@ -453,10 +490,11 @@ def _measure_regions(image, labels, n_regions, whole, faintest, largest_radius, 
         spot[:] = whole
         spot[WX0], spot[WX1], spot[WY0], spot[WY1] = x0, x1, y0, y1
         spot[TOUCHING] = alone > 1
+        around = _ring_quartile(image, x0, x1, y0, y1)
         spot[LEVEL], spot[SLOPE_X], spot[SLOPE_Y], _ = _ring_background(
-            image, x0, x1, y0, y1, whole[LEVEL], whole[NOISE], faintest
+            image, x0, x1, y0, y1, around, whole[NOISE], faintest
         )
         area, share = _shape(image, own, region, x0, x1, y0, y1, spot)
-        spot[FATE] = _judge(spot, area, share, faintest, largest_radius)
+        spot[FATE] = AT_EDGE if cut[region] else _judge(spot, area, share, faintest, largest_radius)
         count += 1
     return count

@@ -12,6 +12,7 @@ import select
 import sys
 import threading
 import time
+from pathlib import Path
 
 import zenoh
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
@@ -43,7 +44,7 @@ while not gone.wait(0.1):
     if select.select([sys.stdin], [], [], 0)[0]:
         break
 time.sleep(0.3)  # what was sent before the token went may still be under way
-with open(out, "w") as file:
+with Path(out).open("w") as file:
     for received_ns, key, encoding, payload in received:
         entry = {
             "received_ns": received_ns,

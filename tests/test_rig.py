@@ -51,7 +51,7 @@ def folder(tmp_path: Path) -> Path:
 
 def refusal(folder: Path, text: str) -> str:
     (folder / "rig.yaml").write_text(text)
-    with pytest.raises(InputError, match=".*") as caught:
+    with pytest.raises(InputError, match="yaml") as caught:
         load_rig(folder / "rig.yaml")
     said = str(caught.value)
     assert "\n" not in said
