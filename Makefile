@@ -30,8 +30,8 @@ format: .venv/installed ## format the code and sort the imports
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: .venv/installed ## speed and accuracy beside a memory pass and a plain OpenCV chain
-	$(BIN)/python -m tests.bench
+bench: .venv/installed ## speed beside a memory pass and a plain OpenCV chain
+	$(BIN)/python -m tests.measure.speed
 
 proto: .venv/installed ## compile protocol/asterism.proto
 	@# In an environment of its own: this compiler's code runs with every protobuf from 5.29 on, itself it wants an old one.

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 
-# With the default of 2 an express publisher loses messages when the processor is busy; 16 lost none (measured).
+# With the default of 2 a publisher loses messages when the processor is busy; 16 lost none (measured).
 _TX_QUEUE = 16
 _RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 

@@ -38,8 +38,8 @@ class Publisher:
                 publisher = self._session.declare_publisher(
                     self._prefix + message.key,
                     encoding=zenoh.Encoding(message.kind.encoding),
+                    # Not express: a router's queue holds two batches, and drops what each message sent alone fills.
                     congestion_control=zenoh.CongestionControl.DROP,
-                    express=True,
                 )
                 self._publishers[message.key] = publisher
             publisher.put(message.payload)

@@ -244,10 +244,10 @@ def search(
     """Search the spots that are ``free`` for the robots.
 
     ``flat`` (n, 2) ideal px, y up; ``rays`` (n, 2) the same as x / z, y / z (y down); ``variances`` (n,) of the rays,
-    ``heights`` (n,), ``radii`` (n,) px; ``layouts`` (robots, 6, 3) m; ``separations`` (robots,) m, from any other robot and any other
-    labelling; ``claimed`` (robots,) and ``brightness`` (robots,) of robots that are known already, for which only
-    brighter rivals are of interest. ``convex`` and ``concave`` are the quad table. ``near`` and ``far`` m,
-    ``most_tilt`` the cosine of the largest tilt, ``reach`` px between LEDs of one robot.
+    ``heights`` (n,), ``radii`` (n,) px; ``layouts`` (robots, 6, 3) m; ``separations`` (robots,) m, from any other
+    robot and any other labelling; ``claimed`` (robots,) and ``brightness`` (robots,) of robots that are known
+    already, for which only brighter rivals are of interest. ``convex`` and ``concave`` are the quad table.
+    ``near`` and ``far`` m, ``most_tilt`` the cosine of the largest tilt, ``reach`` px between LEDs of one robot.
 
     Fills ``claims`` (m, 6) and its values, rotations and translations (T_camera_plane) with robots found beyond
     doubt, whose spots are then no longer free, and ``pending`` likewise with hypotheses. Returns both counts and the

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import zenoh
+
 from tests.helpers import REPOSITORY
 
 TIMEOUT_S = 120.0
@@ -70,3 +72,20 @@ class Subscriber:
         self._process.wait(timeout=TIMEOUT_S)
         self._process.communicate()  # closes the pipes
         return [json.loads(line) for line in self._out.read_text().splitlines()]
+
+
+@contextlib.contextmanager
+def open_router() -> Iterator[tuple[str, zenoh.Session]]:
+    """A zenoh router in this process, as an existing infrastructure would have: its endpoint and session."""
+    endpoint, config = free_endpoint(), zenoh.Config()
+    for key, value in (
+        ("mode", '"router"'),
+        ("listen/endpoints", json.dumps([endpoint])),
+        ("scouting/multicast/enabled", "false"),
+    ):
+        config.insert_json5(key, value)
+    session = zenoh.open(config)
+    try:
+        yield endpoint, session
+    finally:
+        session.close()

@@ -114,7 +114,10 @@ def test_bad_input_gets_one_sentence_and_exit_code_2(
         (("locate", DEMO_RIG, frames, "-o", tmp_path / "no" / "x"), "cannot be written"),
         (("locate", DEMO_RIG, frames), "the following arguments are required: -o"),
         (("serve", DEMO_RIG, frames, "--listen", "here"), "endpoint 'here': expected PROTOCOL/ADDRESS"),
-        (("serve", DEMO_RIG, frames, "--listen", "tcp/127.0.0.1:1", "--connect", "tcp/127.0.0.1:2"), "exclude each other"),
+        (
+            ("serve", DEMO_RIG, frames, "--listen", "tcp/127.0.0.1:1", "--connect", "tcp/127.0.0.1:2"),
+            "exclude each other",
+        ),
         (("serve", DEMO_RIG, frames, "--rate", "0"), "argument --rate: 0, expected a number above 0"),
         (("serve", DEMO_RIG, frames, "--record-frames", "some"), "argument --record-frames: 'some'"),
         (("serve", DEMO_RIG, frames, "--zenoh", tmp_path / "none.json5"), "cannot be read as a zenoh configuration"),
@@ -160,10 +163,10 @@ def test_unreadable_images_are_named_skipped_and_counted(tmp_path: Path) -> None
 
 
 def test_compare_tells_and_its_exit_code_says_whether_it_is_the_same(tmp_path: Path) -> None:
-    from tests.test_recordings import FRAMES, RIG, START_NS, record  # noqa: F401
     from asterism.server import Frame, Tracks, localize
     from asterism.server.report import report
     from asterism.server.simulate import Scene
+    from tests.test_recordings import FRAMES, RIG, START_NS, record  # noqa: F401
 
     scene, made = Scene(RIG, 0), []
     for index in range(2):

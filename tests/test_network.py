@@ -47,7 +47,9 @@ def test_arguments_say_where() -> None:
 
 def test_a_users_file_holds_unless_an_argument_says_otherwise(tmp_path: Path) -> None:
     file = tmp_path / "zenoh.json5"
-    file.write_text("{mode: 'router', listen: {endpoints: ['tcp/127.0.0.1:9']}, scouting: {multicast: {enabled: true}}}")
+    file.write_text(
+        "{mode: 'router', listen: {endpoints: ['tcp/127.0.0.1:9']}, scouting: {multicast: {enabled: true}}}"
+    )
     config = server_config(options=file)
     assert value(config, "mode") == "router"
     assert value(config, "listen/endpoints") == ["tcp/127.0.0.1:9"]
@@ -68,16 +70,18 @@ def test_a_file_that_is_no_zenoh_configuration_is_refused(tmp_path: Path, text: 
         client_config(options=tmp_path / "nowhere.json5")
 
 
-@pytest.mark.parametrize("endpoint", ["127.0.0.1:7447", "tcp", "tcp/", "tcp/127.0.0.1", "tcp/127.0.0.1:x", "tcp/:7", ""])
+@pytest.mark.parametrize(
+    "endpoint", ["127.0.0.1:7447", "tcp", "tcp/", "tcp/127.0.0.1", "tcp/127.0.0.1:x", "tcp/:7", ""]
+)
 def test_malformed_endpoints_are_refused(endpoint: str) -> None:
-    with pytest.raises(InputError, match="expected .* such as tcp/127.0.0.1:7447"):
+    with pytest.raises(InputError, match=r"expected .* such as tcp/127.0.0.1:7447"):
         check_endpoint(endpoint)
 
 
 def test_an_endpoint_in_use_is_refused_with_what_to_do() -> None:
     endpoint = free_endpoint()
     first = open_server(endpoint)
-    with pytest.raises(InputError, match="is already in use .* expected a free one: --listen .* or --connect"):
+    with pytest.raises(InputError, match=r"is already in use .* expected a free one: --listen .* or --connect"):
         open_server(endpoint)
     first.close()
 
@@ -131,7 +135,13 @@ def test_a_pose_arrives_with_everything_it_was_sent_with(endpoint: str, server: 
         until(lambda: server.tell(ROBOT_POSE) or arrived.wait(0.05))
         pose = feed.latest(max_age_s=10.0)
         assert pose is not None
-        assert (pose.robot, pose.camera, pose.state, pose.leds, pose.sequence) == ("alpha", "cam", "TILT_AMBIGUOUS", 5, 42)
+        assert (pose.robot, pose.camera, pose.state, pose.leds, pose.sequence) == (
+            "alpha",
+            "cam",
+            "TILT_AMBIGUOUS",
+            5,
+            42,
+        )
         assert pose.pose.position.tolist() == ROBOT_POSE.pose.position.tolist()
         assert pose.exposed_ns == ROBOT_POSE.exposed_ns
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
-from numpy.typing import NDArray
 
 from asterism.protocol import keys
 from asterism.protocol.codec import decode_image, encode_rig
@@ -146,7 +145,11 @@ def whole(tmp_path: Path, frames: Made, monkeypatch: pytest.MonkeyPatch) -> Path
 def test_cut_off_anywhere_what_was_whole_is_recovered(whole: Path, frames: Made, stem: str) -> None:
     path = whole / f"{stem}-0001.mcap"
     data = path.read_bytes()
-    expected = [m for m in Recording(whole).messages_and_images() if (m.kind.schema == "foxglove.RawImage") == (stem == "frames")]
+    expected = [
+        m
+        for m in Recording(whole).messages_and_images()
+        if (m.kind.schema == "foxglove.RawImage") == (stem == "frames")
+    ]
     counts = []
     for length in [*np.linspace(0.02, 0.99, 20) * len(data), len(data) - 1]:
         path.write_bytes(data[: int(length)])
@@ -216,7 +219,9 @@ def test_a_folder_that_cannot_be_made_is_the_worlds_fault(tmp_path: Path) -> Non
         Recorder(tmp_path / "file", RIG, "test", 1, wait=True)
 
 
-def test_a_live_camera_never_waits_for_the_recorder(tmp_path: Path, frames: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_live_camera_never_waits_for_the_recorder(
+    tmp_path: Path, frames: Made, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import threading
 
     release, real = threading.Event(), Recorder._record
@@ -237,7 +242,7 @@ def test_a_live_camera_never_waits_for_the_recorder(tmp_path: Path, frames: Made
     recording = Recording(recorder.folder)
     assert 0 < recording.count_frames() < 200
     with (recorder.folder / "poses-0001.mcap").open("rb") as stream:
-        ending = [entry for entry in make_reader(stream).iter_metadata() if entry.name == "asterism/end"][0]
+        ending = next(entry for entry in make_reader(stream).iter_metadata() if entry.name == "asterism/end")
     assert ending.metadata["frames_left_out"] == str(recorder.frames_left_out)
 
 
@@ -295,5 +300,3 @@ def test_a_series_registers_each_schema_once(tmp_path: Path, frames: Made) -> No
         summary = make_reader(stream).get_summary()
     assert summary is not None
     assert sorted(schema.name for schema in summary.schemas.values()) == [FRAME_REPORT.schema, ODOMETRY.schema]
-
-

@@ -37,7 +37,9 @@ def test_a_disc_equals_its_points_counted_one_by_one(rng: np.random.Generator, t
     assert np.sqrt((difference**2).mean()) < 0.005
     # The plateau of a disc much larger than its blur is 1.
     big = np.zeros((255, 255))
-    trace_disc(lens_of(camera), np.array([0.0, 0.0, 1.1]), np.array([0.0, 0.0, -1.0]), 0.02, psf, *quadrature(26.0, psf), big)
+    trace_disc(
+        lens_of(camera), np.array([0.0, 0.0, 1.1]), np.array([0.0, 0.0, -1.0]), 0.02, psf, *quadrature(26.0, psf), big
+    )
     assert big.max() == pytest.approx(1.0, abs=0.01)
 
 

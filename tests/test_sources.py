@@ -70,7 +70,7 @@ def test_cut_off_images_are_noticed(tmp_path: Path, extension: str, share: float
     data = whole.read_bytes()
     part = tmp_path / f"part.{extension}"
     part.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(UnreadableImage, match="is cut off|is no whole image|is empty"):
+    with pytest.raises(UnreadableImage, match=r"is cut off|is no whole image|is empty"):
         read_image(part, None)
 
 
@@ -254,8 +254,7 @@ def test_a_sources_exception_is_raised_where_frames_are_taken() -> None:
     feed = Feed(broken(), live=False)
     assert [feed.next(1.0).index for _ in range(2)] == [0, 1]  # type: ignore[union-attr]
     with pytest.raises(InputError, match="the third frame is bad"):
-        while True:
-            feed.next(0.5)
+        feed.next(0.5)
 
 
 def test_a_ticker_calls_until_it_is_closed() -> None:
