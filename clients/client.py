@@ -5,6 +5,7 @@ with PoseClient("tcp/127.0.0.1:7447") as robots:
     for pose in robots["alpha"]: ...               # each new pose, newest first wins
 """
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     import zenoh
 
 RECONNECT_S = 0.25
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,7 +199,11 @@ class PoseClient:
 
         def receive(sample: zenoh.Sample) -> None:
             key = str(sample.key_expr).removeprefix(self._prefix)
-            pose = decode_odometry(sample.payload.to_bytes())
+            try:
+                pose = decode_odometry(sample.payload.to_bytes())
+            except InputError as error:
+                _LOG.warning("%s: %s; ignored", sample.key_expr, error)
+                return
             feed._receive(
                 ReceivedPose(
                     **{name: getattr(pose, name) for name in RobotPose.__slots__},

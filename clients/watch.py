@@ -5,10 +5,10 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -25,6 +25,8 @@ from asterism.protocol.network import DEFAULT_ENDPOINT, check_endpoint, client_c
 
 if TYPE_CHECKING:
     import zenoh
+
+T = TypeVar("T")
 
 REFRESH_HZ = 5
 PLAIN_EVERY_S = 2.0
@@ -52,6 +54,7 @@ class RobotTable:
         self._lock = threading.Lock()
         self._rows: dict[tuple[str, str], _Row] = {}
         self._status: dict[str, tuple[pb.Status, float]] = {}
+        self._refused = ""  # the newest message that could not be read
 
     def subscribe(self, session: "zenoh.Session") -> list[object]:
         """Have a session feed the table; keep what is returned as long as it shall."""
@@ -62,7 +65,9 @@ class RobotTable:
 
     def _frame(self, sample: "zenoh.Sample") -> None:
         camera = str(sample.key_expr).removeprefix(self._prefix).split("/")[1]
-        report = decode_frame_report(sample.payload.to_bytes())
+        report = self._read(decode_frame_report, sample)
+        if report is None:
+            return
         now = time.monotonic()
         with self._lock:
             for robot in report.robots:
@@ -79,14 +84,25 @@ class RobotTable:
 
     def _health(self, sample: "zenoh.Sample") -> None:
         camera = str(sample.key_expr).removeprefix(self._prefix).split("/")[1]
-        status = decode_status(sample.payload.to_bytes())
-        with self._lock:
-            self._status[camera] = (status, time.monotonic())
+        status = self._read(decode_status, sample)
+        if status is not None:
+            with self._lock:
+                self._status[camera] = (status, time.monotonic())
+
+    def _read(self, decode: Callable[[bytes], T], sample: "zenoh.Sample") -> T | None:
+        """The message, or None for one that is none: then the table says so."""
+        try:
+            return decode(sample.payload.to_bytes())
+        except InputError as error:
+            with self._lock:
+                self._refused = f"{sample.key_expr}: {error}; ignored"
+            return None
 
     def lines(self) -> list[str]:
         """The table as plain text, for terminals that cannot redraw."""
         with self._lock:
-            return [" ".join(cell for cell in self._cells(row)[0]) for _, row in sorted(self._rows.items())]
+            rows = [" ".join(self._cells(row)[0]).rstrip() for _, row in sorted(self._rows.items())]
+            return [*rows, self._refused] if self._refused else rows
 
     def draw(self) -> RenderableType:
         """The table as it is now."""
@@ -103,8 +119,10 @@ class RobotTable:
             "rms px",
             "Hz",
             "age",
+            "why",
         ):
-            table.add_column(name, justify="left" if name in ("robot", "state") else "right", no_wrap=True)
+            left = name in ("robot", "state", "why")
+            table.add_column(name, justify="left" if left else "right", no_wrap=name != "why")
         with self._lock:
             for _, row in sorted(self._rows.items()):
                 cells, style = self._cells(row)
@@ -112,9 +130,11 @@ class RobotTable:
                 texts[1].stylize(style)
                 table.add_row(*texts)
             lines = [self._status_line(camera) for camera in sorted(self._status)]
+            if self._refused:
+                lines.append(Text(self._refused, style="red"))
             empty = not self._rows
         if empty:
-            return Text("no frame has arrived yet", style="dim")
+            return Group(Text("no frame has arrived yet", style="dim"), *lines)
         return Group(table, *lines)
 
     def _cells(self, row: _Row) -> tuple[list[str], str]:
@@ -135,9 +155,7 @@ class RobotTable:
                 cells[7], cells[8] = str(row.seen.leds), f"{row.seen.rms_px:.3f}"
             age = row.seen_age_s + now - row.seen_at_s
             cells[10] = f"{1e3 * age:.0f} ms" if age < 1.0 else f"{age:.0f} s"
-        if row.report.reason:
-            cells.append(row.report.reason)
-        return cells[:11], _STYLES.get(state, "red")
+        return [*cells, row.report.reason], _STYLES.get(state, "red")
 
     def _status_line(self, camera: str) -> Text:
         status, at_s = self._status[camera]

@@ -67,6 +67,16 @@ class RobotPose:
     exposed_ns: int
     published_ns: int
 
+    @property
+    def position(self) -> Floats:
+        """(3,) m, of the robot's origin in frame_id."""
+        return self.pose.position
+
+    @property
+    def orientation(self) -> Floats:
+        """(4,) x y z w, of the robot in frame_id."""
+        return self.pose.orientation
+
 
 @cache
 def descriptor_set(schema: str) -> bytes:

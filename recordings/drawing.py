@@ -24,6 +24,7 @@ from asterism.protocol.rig import Rig
 
 APPLICATION = "asterism"
 RESIDUAL_SCALE = 500.0  # a residual of 0.02 px is drawn 10 px long
+NAME_ABOVE_PX = 70.0  # a name stands that far above its robot
 TRAIL = 600  # positions kept of every robot's path
 AXIS_M = 0.06
 _COLOURS = np.array(
@@ -90,7 +91,7 @@ def blueprint(rig: Rig) -> rrb.Blueprint:
                 rrb.TimeSeriesView(origin="plots/residual", name="residual, px"),
                 rrb.TimeSeriesView(origin="plots/latency", name="latency, ms"),
                 rrb.StateTimelineView(origin="states", name="state"),
-                row_shares=[3, 2, 2, 2],
+                row_shares=[3, 2, 2, 3],
             ),
             column_shares=[3, 2],
         ),
@@ -235,7 +236,7 @@ class Drawing:
                 continue
             own = centres[list(robot.spot)]
             tags.append(robot.id)
-            places.append([own[:, 0].mean(), own[:, 1].min() - 40])
+            places.append([own[:, 0].mean(), own[:, 1].min() - NAME_ABOVE_PX])
             residuals = np.column_stack([robot.residual_x, robot.residual_y]) * RESIDUAL_SCALE
             vectors.append(residuals)
             origins.append(own + 0.5)

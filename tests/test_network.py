@@ -262,3 +262,17 @@ def test_a_rig_report_tells_the_whole_rig() -> None:
     assert [len(robot.leds) for robot in told.robots] == [6]
     assert told.robots[0].points["tool"].z == -0.03
     assert told.rig_yaml == RIG.rig_text
+
+
+def test_bytes_that_are_no_pose_are_said_and_ignored(
+    endpoint: str, server: Server, caplog: pytest.LogCaptureFixture
+) -> None:
+    with PoseClient(endpoint) as robots:
+        feed = robots["alpha"]
+        until(lambda: server.tell(ROBOT_POSE) or feed.latest(10.0) is not None)
+        key = keys.odometry("cam", "alpha")
+        server.publisher.publish([Message(key, ODOMETRY, b"\x07no pose", 0, 0, 43)])
+        until(lambda: caplog.messages)
+        assert f"{key}: odometry message: 8 bytes that are no pose of Asterism" in caplog.text
+        later = replace(ROBOT_POSE, sequence=44)
+        until(lambda: server.tell(later) or feed.latest(10.0).sequence == 44)  # type: ignore[union-attr]

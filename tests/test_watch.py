@@ -60,3 +60,20 @@ def test_a_problem_is_told() -> None:
     table._frame(Sample("asterism/cam/frame", to_bytes(make_golden.frame_report())))  # type: ignore[arg-type]
     table._health(Sample("asterism/cam/status", to_bytes(status)))  # type: ignore[arg-type]
     assert "the camera vanished; waiting for it" in drawn(table)
+
+
+def test_bytes_that_are_no_report_are_told_and_ignored() -> None:
+    table = RobotTable()
+    table._frame(Sample("asterism/cam/frame", b"\x07no report"))  # type: ignore[arg-type]
+    assert "asterism/cam/frame: 10 bytes that are no asterism.FrameReport" in drawn(table)
+    table._frame(Sample("asterism/cam/frame", to_bytes(make_golden.frame_report())))  # type: ignore[arg-type]
+    assert "alpha" in drawn(table)
+
+
+def test_a_lost_robots_line_says_why() -> None:
+    report = make_golden.frame_report()
+    table = RobotTable()
+    table._frame(Sample("asterism/cam/frame", to_bytes(report)))  # type: ignore[arg-type]
+    bravo = next(robot for robot in report.robots if robot.id == "bravo")
+    assert bravo.reason
+    assert bravo.reason in drawn(table)

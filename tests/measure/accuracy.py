@@ -1,8 +1,8 @@
 """Accuracy and identity on frames with truth: `python -m tests.measure.accuracy [FOLDER ...]`.
 
-FOLDER holds `rig.yaml`, `frames/` and their truth (../shared/samples has eleven; `asterism simulate` writes more). Every
-frame is located alone, as `asterism locate --independent` does. "wrong": more than 20 mm off, or a robot that is not
-there. "tilt": more than 5 degrees off, with neither `alternative` nor the covariance saying so. NEES is the
+FOLDER holds `rig.yaml`, `frames/` and their truth (../shared/samples has eleven; `asterism simulate` writes more).
+Every frame is located alone, as `asterism locate --independent` does. "wrong": more than 20 mm off, or a robot that
+is not there. "tilt": more than 5 degrees off, with neither `alternative` nor the covariance saying so. NEES is the
 squared error weighted by the covariance; honest covariances average 6.
 """
 
