@@ -1,6 +1,6 @@
 """The image's background, coarse: its level and noise in tiles, and from them the seed threshold of every pixel.
 
-A tile's level is the median of a sparse lattice of its pixels, so LEDs and lamps smaller than half a tile do not
+A tile's level is the median of a sparse sample of its pixels, so LEDs and lamps smaller than half a tile do not
 move it; its noise comes from differences of neighbouring pixels, so a brightness gradient does not count as noise.
 Between tile centres both are interpolated linearly. Tiles that a lamp or a patch of sun fills are replaced by the
 median of their neighbours where those are darker.
@@ -16,7 +16,10 @@ from asterism.server.compiled import compiled
 
 TILE_PX = 128
 BLOCK_ROWS = 8  # rows that share one row of seed thresholds
-_LATTICE = 12  # samples a tile along each axis
+_SAMPLED_ROWS = 8  # of a tile
+_STEP_PX = 4  # between samples of a row
+LARGEST_STEP = 48  # grey levels between neighbours: beyond it certainly an edge
+EDGE = 4.0  # times the mean step, from where on it is an edge (five sigma)
 
 
 @compiled
@@ -24,30 +27,61 @@ def measure_background(image, level, noise):
     """Fill ``level`` and ``noise`` (tiles_y, tiles_x), grey levels, from an (h, w) uint8 image."""
     height, width = image.shape
     tiles_y, tiles_x = level.shape
-    samples = np.empty(_LATTICE * _LATTICE, np.uint8)
+    counts, steps = np.empty(256, np.int32), np.empty(LARGEST_STEP + 1, np.int32)
     for ty in range(tiles_y):
+        y0, y1 = ty * height // tiles_y, (ty + 1) * height // tiles_y
         for tx in range(tiles_x):
-            y0, y1 = ty * height // tiles_y, (ty + 1) * height // tiles_y
             x0, x1 = tx * width // tiles_x, (tx + 1) * width // tiles_x
-            count = 0
-            differences = 0
-            total = 0
-            for i in range(_LATTICE):
-                y = y0 + (2 * i + 1) * (y1 - y0) // (2 * _LATTICE)
-                for j in range(_LATTICE):
-                    # Every other row is shifted, so that no stripe pattern of the sensor falls onto the lattice.
-                    x = x0 + (4 * j + 1 + 2 * (i & 1)) * (x1 - x0) // (4 * _LATTICE)
-                    value = image[y, x]
-                    samples[count] = value
-                    count += 1
-                    step = abs(np.int64(image[y, x + 1]) - np.int64(value)) if x + 1 < x1 else 0
-                    if step < 48:  # an edge, not noise
-                        total += step
-                        differences += 1
-            samples.sort()
-            level[ty, tx] = 0.5 * (float(samples[count // 2 - 1]) + float(samples[count // 2]))
-            # E|difference| = 2 sigma / sqrt(pi); at most a grey level of rounding hides what is below.
-            noise[ty, tx] = max(0.5 * math.sqrt(math.pi) * total / max(differences, 1), 0.3)
+            counts[:] = 0
+            steps[:] = 0
+            samples = 0
+            for i in range(_SAMPLED_ROWS):
+                row = image[y0 + (2 * i + 1) * (y1 - y0) // (2 * _SAMPLED_ROWS)]
+                # Every other row is shifted, so that no stripe pattern of the sensor falls onto the samples.
+                for x in range(x0 + (i & 1) * (_STEP_PX // 2), x1 - 1, _STEP_PX):
+                    value = np.int64(row[x])
+                    step = abs(np.int64(row[x + 1]) - value)
+                    counts[value] += 1
+                    samples += 1
+                    steps[min(step, LARGEST_STEP)] += 1
+            # The median: half way between the two middle samples.
+            below, lower, upper = 0, -1, -1
+            for value in range(256):
+                below += counts[value]
+                if lower < 0 and 2 * below >= samples:
+                    lower = value
+                if 2 * below > samples:
+                    upper = value
+                    break
+            level[ty, tx] = 0.5 * (lower + upper)
+            # Steps far beyond the usual are edges, not noise. E|difference| = 2 sigma / sqrt(pi); at most a grey level
+            # of rounding hides what is below.
+            usual = _mean_up_to(steps, LARGEST_STEP - 1)
+            usual = _mean_up_to(steps, int(EDGE * usual) + 1)
+            noise[ty, tx] = max(0.5 * math.sqrt(math.pi) * usual, 0.3)
+
+
+@compiled
+def _mean_up_to(counts, most):
+    """The mean of counted values 0, 1, ... up to ``most``."""
+    number, total = 0, 0
+    for value in range(min(most + 1, counts.shape[0])):
+        number += counts[value]
+        total += value * counts[value]
+    return total / max(number, 1)
+
+
+@compiled
+def _median(values, count):
+    """The median of the first ``count`` values, which are sorted in place: few of them."""
+    for i in range(1, count):
+        value = values[i]
+        k = i
+        while k > 0 and values[k - 1] > value:
+            values[k] = values[k - 1]
+            k -= 1
+        values[k] = value
+    return 0.5 * (values[(count - 1) // 2] + values[count // 2])
 
 
 @compiled
@@ -56,21 +90,27 @@ def discount_lamps(level, noise):
     tiles_y, tiles_x = level.shape
     level_out = level.copy()
     noise_out = noise.copy()
-    around_level = np.empty(9)
-    around_noise = np.empty(9)
+    around = np.empty(9)
     for ty in range(tiles_y):
         for tx in range(tiles_x):
+            y0, y1, x0, x1 = max(ty - 1, 0), min(ty + 2, tiles_y), max(tx - 1, 0), min(tx + 2, tiles_x)
             count = 0
-            for y in range(max(ty - 1, 0), min(ty + 2, tiles_y)):
-                for x in range(max(tx - 1, 0), min(tx + 2, tiles_x)):
-                    around_level[count] = level[y, x]
-                    around_noise[count] = noise[y, x]
+            for y in range(y0, y1):
+                for x in range(x0, x1):
+                    around[count] = level[y, x]
                     count += 1
-            middle = np.median(around_level[:count])
-            spread = np.median(np.abs(around_level[:count] - middle))
+            middle = _median(around, count)
+            for k in range(count):
+                around[k] = abs(around[k] - middle)
+            spread = _median(around, count)
             if level[ty, tx] > middle + max(4.0 * spread, 12.0):
                 level_out[ty, tx] = middle
-            quiet = np.median(around_noise[:count])
+            count = 0
+            for y in range(y0, y1):
+                for x in range(x0, x1):
+                    around[count] = noise[y, x]
+                    count += 1
+            quiet = _median(around, count)
             if noise[ty, tx] > 2.0 * quiet:
                 noise_out[ty, tx] = quiet
     return level_out, noise_out
@@ -97,29 +137,26 @@ def seed_thresholds(level, noise, sigmas, least, height, width, thresholds):
     The threshold is the background plus ``sigmas`` times its noise, at least ``least`` grey levels.
     """
     tiles_y, tiles_x = level.shape
-    knots = np.empty(tiles_x)
+    # First along x, one line for each row of tiles; then every block is a blend of two lines.
+    lines = np.empty((tiles_y, width), np.float32)
+    per_px = tiles_x / width
+    for ty in range(tiles_y):
+        for x in range(width):
+            u = min(max((x + 0.5) * per_px - 0.5, 0.0), tiles_x - 1.0)
+            j = int(u)
+            j1 = min(j + 1, tiles_x - 1)
+            left = level[ty, j] + max(sigmas * noise[ty, j], least)
+            right = level[ty, j1] + max(sigmas * noise[ty, j1], least)
+            lines[ty, x] = min(left + (u - j) * (right - left), 255.0)
     for block in range(thresholds.shape[0]):
         y = block * BLOCK_ROWS + 0.5 * (BLOCK_ROWS - 1)
         v = min(max((y + 0.5) * tiles_y / height - 0.5, 0.0), tiles_y - 1.0)
         i = int(v)
-        i1 = min(i + 1, tiles_y - 1)
-        fv = v - i
-        for tx in range(tiles_x):
-            base = level[i, tx] + fv * (level[i1, tx] - level[i, tx])
-            rough = noise[i, tx] + fv * (noise[i1, tx] - noise[i, tx])
-            knots[tx] = min(base + max(sigmas * rough, least), 255.0)
+        upper, lower = lines[i], lines[min(i + 1, tiles_y - 1)]
+        part = np.float32(v - i)
         row = thresholds[block]
-        scale = tiles_x / width
-        start = 0
-        for tx in range(-1, tiles_x):
-            # Columns between the centres of tiles tx and tx + 1.
-            end = width if tx == tiles_x - 1 else min(max(math.ceil((tx + 1.5) / scale - 0.5), 0), width)
-            left = knots[max(tx, 0)]
-            slope = knots[min(tx + 1, tiles_x - 1)] - left
-            first = (start + 0.5) * scale - 0.5 - max(tx, 0)
-            for x in range(start, end):
-                row[x] = np.uint8(left + slope * (first + (x - start) * scale))
-            start = end
+        for x in range(width):
+            row[x] = np.uint8(np.int32(upper[x] + part * (lower[x] - upper[x])))
 
 
 def tile_shape(height: int, width: int) -> tuple[int, int]:

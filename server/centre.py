@@ -5,19 +5,39 @@ import math
 import numpy as np
 
 from asterism.server.compiled import compiled
-from asterism.server.edge_model import fit_edge_model
+from asterism.server.edge_model import BLUR_PX, SUMS, fit_edge_model
 from asterism.server.grey_square import fit_grey_square
 from asterism.server.leaning import fit_leaning
-from asterism.server.spots import FATE, HEIGHT, SEMI_A, SHOULDER, TOUCHING, UNEXPLAINED, X, Y
+from asterism.server.spots import (
+    AT_EDGE,
+    FATE,
+    HEIGHT,
+    MISFIT,
+    NOISE,
+    SEMI_A,
+    SHOULDER,
+    TOO_FAINT,
+    TOUCHING,
+    UNEXPLAINED,
+    WX0,
+    WX1,
+    WY0,
+    WY1,
+    X,
+    Y,
+)
 
 ESTIMATOR_NUMBERS = {"edge-model": 0, "grey-square": 1}
 
-BLUR_PX = 0.85  # point spread and pixel together; a wrong value costs little (0.6 to 1.1 px: at most 13 %)
-GAIN = 0.035  # variance per grey level of light: a sensor of 7000 electrons at grey level 255
-ITERATIONS = 3
+GAIN = 0.035  # expected variance per grey level of light: a sensor of 7000 electrons at grey level 255
+GAIN_SIGMA = 0.02  # how well that is known before a frame's own residuals have told
+CLEAN_MISFIT = 1.5  # chi squared per degree of freedom up to which a spot tells of the sensor's noise
+STRANGE_MISFIT = 1.6  # beyond this the model does not hold, and the centre may be off
+GOOD_MISFIT, EVEN = 1.3, 2.5  # a fit with no more misfit and no more light to one side has nothing beside it
+MISFIT_SHIFT_PX = 0.05  # by about this much where it is twice as large as noise makes it
 NEIGHBOUR_REACH_PX = 9.0  # spots farther apart than this, edge to edge, do not disturb one another
 MOST_NEIGHBOURS = 8
-ONE_SIDED = 6.0  # sigmas of light to one side of a spot beyond which there is other light
+ONE_SIDED = 4.0  # sigmas of light to one side of a spot beyond which there is other light
 LEANING_ERROR_PX = 0.06  # the light beside a spot is no exact Gaussian
 UNEXPLAINED_LIGHT_PX = 0.15  # light to one side that no fit explains moves the centre about this far
 TOUCHING_PX = 4.0  # a spot that was split from another is fitted together with it if it is this near
@@ -44,7 +64,9 @@ def _neighbours_of(spots, order, place, widest, neighbours, other):
             away = math.hypot(near[X] - spot[X], near[Y] - spot[Y])
             gap = away - spot[SEMI_A] - near[SEMI_A]
             # What the spot lies in the middle of is its background, not its neighbour.
-            if gap < NEIGHBOUR_REACH_PX and away > near[SEMI_A] and count < MOST_NEIGHBOURS:
+            # Neither are those whose extent is not known: cut off by the edge, or hardly there.
+            bright = near[FATE] not in (TOO_FAINT, AT_EDGE)
+            if bright and gap < NEIGHBOUR_REACH_PX and away > near[SEMI_A] and count < MOST_NEIGHBOURS:
                 neighbours[count, 0], neighbours[count, 1], neighbours[count, 2] = (
                     near[X],
                     near[Y],
@@ -63,14 +85,20 @@ def refine_centres(image, spots, estimator, centres, covariances):
     """Fill ``centres`` (n, 2) px and ``covariances`` (n, 3) xx, xy, yy px^2 of the rows of the spot table.
 
     Rejected spots keep the coarse centre of the table, with covariance 0. Spots that other light leans on get their
-    SHOULDER set and their covariance widened by it.
+    SHOULDER set and their covariance widened by it. The covariances are those of the shot noise that the residuals
+    of all clean spots together show.
     """
     n = spots.shape[0]
     order = np.argsort(spots[:, X])
-    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.empty(6)
-    widest = 0.0
+    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(9)
+    widest, largest = 0.0, 0.0
     for k in range(n):
         widest = max(widest, spots[k, SEMI_A])
+        if spots[k, FATE] == UNEXPLAINED:
+            largest = max(largest, (spots[k, WX1] - spots[k, WX0]) * (spots[k, WY1] - spots[k, WY0]))
+    pixels, sums = np.empty((3, int(largest))), np.empty(SUMS)
+    # The expected gain counts as much as a measurement of that sigma.
+    told, weight = 2.0 * GAIN / GAIN_SIGMA**2, 2.0 / GAIN_SIGMA**2
     for place in range(n):
         k = order[place]
         spot = spots[k]
@@ -80,16 +108,35 @@ def refine_centres(image, spots, estimator, centres, covariances):
             continue
         count = _neighbours_of(spots, order, place, widest, neighbours, other)
         if estimator == 0:
-            fit_edge_model(image, spot, neighbours[:count], BLUR_PX, GAIN, ITERATIONS, out)
+            fit_edge_model(image, spot, neighbours[:count], GAIN, pixels, sums, out)
         else:
             fit_grey_square(image, spot, neighbours[:count], GAIN, out)
         if out[5] > ONE_SIDED or other[2] > 0.0:
             spot[SHOULDER] = max(spot[SHOULDER], UNEXPLAINED_LIGHT_PX)
+        elif out[6] > STRANGE_MISFIT:
+            shift = min(MISFIT_SHIFT_PX * math.sqrt(out[6] - 1.0), UNEXPLAINED_LIGHT_PX)
+            spot[SHOULDER] = max(spot[SHOULDER], shift)
+        elif estimator == 0 and out[6] < GOOD_MISFIT and out[5] < EVEN and spot[TOUCHING] == 0.0:
+            spot[SHOULDER] = 0.0  # the moments were misled, by saturation or by noise
+        if out[6] < CLEAN_MISFIT and spot[SHOULDER] == 0.0:
+            told += out[7]
+            weight += out[8]
+        spot[MISFIT] = out[6]
         centres[k, 0], centres[k, 1] = out[0], out[1]
+        covariances[k, 0], covariances[k, 1], covariances[k, 2] = out[2], out[3], out[4]
+    gain = max(told / weight, 0.1 * GAIN)
+    for k in range(n):
+        spot = spots[k]
+        if spot[FATE] != UNEXPLAINED:
+            continue
+        # What matters is the noise at the spot's edge, half way up.
+        read, light = spot[NOISE] ** 2, 0.5 * min(spot[HEIGHT], 255.0)
+        scale = (read + gain * light) / (read + GAIN * light)
+        covariances[k, :] *= scale
         # Light that pulls the foot of the profile pulls the fitted centre about as far.
-        covariances[k, 0] = out[2] + spot[SHOULDER] ** 2
-        covariances[k, 1] = out[3]
-        covariances[k, 2] = out[4] + spot[SHOULDER] ** 2
+        covariances[k, 0] += spot[SHOULDER] ** 2
+        covariances[k, 2] += spot[SHOULDER] ** 2
+    return gain
 
 
 @compiled

@@ -47,3 +47,7 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
 # The interpreter's lock is released, so that source, recorder and network go on beside the chain. Division by zero
 # gives inf or nan as in numpy; the kernels test for what must not be.
 compiled: Any = njit(cache=True, nogil=True, error_model="numpy")
+
+# For sums over pixels: lets the compiler reorder additions, which it must in order to use the processor's wide
+# registers. nan and inf keep their meaning.
+compiled_sums: Any = njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})

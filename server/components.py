@@ -17,11 +17,11 @@ COMPONENT_COLUMNS = 7
 
 @compiled
 def mark_hot_columns(image, thresholds, hot):
-    """Set ``hot`` (blocks, w) uint8 where a block of rows has a pixel above its threshold."""
+    """Set ``hot`` (blocks, w or more) uint8 where a block of rows has a pixel above its threshold."""
     height, width = image.shape
     for block in range(thresholds.shape[0]):
         limit = thresholds[block]
-        mark = hot[block]
+        mark = hot[block, :width]
         mark[:] = 0
         for y in range(block * BLOCK_ROWS, min((block + 1) * BLOCK_ROWS, height)):
             row = image[y]
@@ -41,13 +41,14 @@ def _root(parent, k):
 def connect(image, thresholds, hot, runs, parent, table):
     """Fill ``table`` (capacity, COMPONENT_COLUMNS) int32 with the components; return how many there are.
 
-    ``runs`` (capacity, 3) and ``parent`` (capacity,) are scratch. Returns -1 when a capacity does not suffice.
+    ``hot`` has a width that is a multiple of eight, zero beyond the image's. ``runs`` (capacity, 3) and ``parent``
+    (capacity,) are scratch. Returns -1 when a capacity does not suffice.
     """
     height, width = image.shape
     count = 0
     before, before_end, before_row = 0, 0, -2
     segments = np.empty((width // 2 + 1, 2), np.int32)
-    words = width // 8
+    words = hot.view(np.uint64)
     for block in range(thresholds.shape[0]):
         mark = hot[block]
         limit = thresholds[block]
@@ -55,20 +56,7 @@ def connect(image, thresholds, hot, runs, parent, table):
         x = 0
         while x < width:
             # Most of a block is cold: skip it eight columns at a time.
-            if (
-                x % 8 == 0
-                and x // 8 < words
-                and not (
-                    mark[x]
-                    | mark[x + 1]
-                    | mark[x + 2]
-                    | mark[x + 3]
-                    | mark[x + 4]
-                    | mark[x + 5]
-                    | mark[x + 6]
-                    | mark[x + 7]
-                )
-            ):
+            if x % 8 == 0 and words[block, x // 8] == 0:
                 x += 8
                 continue
             if mark[x]:

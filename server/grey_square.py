@@ -33,7 +33,7 @@ def fit_grey_square(image, spot, neighbours, gain, out):
     """The grey-square centre of one spot; arguments and ``out`` as in `edge_model.fit_edge_model`.
 
     The covariance is that of the weighted mean under the pixels' own noise, plus the error of the sub-pixel phase.
-    The last entry of ``out`` is zero.
+    The entries of ``out`` after it are zero: this estimator does not tell of other light.
     """
     height, width = image.shape
     x0, x1 = max(int(spot[WX0]), 0), min(int(spot[WX1]), width)

@@ -65,8 +65,10 @@ def _evaluate(image, spot, neighbours, blur, gain, p, x0, x1, y0, y1, want, n, r
             u, v = cos * dx + sin * dy, cos * dy - sin * dx
             s, t = u * per_a2, v * per_b2
             slope = math.sqrt(s * s + t * t) + 1e-9
-            inside = 1.0 - (u * s + v * t)
-            distance = min(max(inside / (2.0 * slope * blur), -6.0), 6.0)
+            reach2 = u * s + v * t
+            reach = math.sqrt(reach2 + 1e-12)
+            away = (reach - reach2) / slope  # px from the edge, as in the edge model
+            distance = min(max(away / blur, -6.0), 6.0)
             step = 0.5 * (1.0 + math.erf(distance * 0.7071067811865476))
             bell = math.exp(-0.5 * distance * distance) * 0.3989422804014327
             ex, ey = x - p[QX], y - p[QY]
@@ -85,14 +87,13 @@ def _evaluate(image, spot, neighbours, blur, gain, p, x0, x1, y0, y1, want, n, r
             pixels += 1
             if not want:
                 continue
-            bend = inside / (2.0 * slope * slope * slope)
-            du, dv = -s / slope - bend * s * per_a2, -t / slope - bend * t * per_b2
+            outward, bend = (1.0 / reach - 2.0) / slope, away / (slope * slope)
+            du, dv = s * (outward - bend * per_a2), t * (outward - bend * per_b2)
             steep = p[RISE] * bell / blur
             g[PX], g[PY] = -steep * (du * cos - dv * sin), -steep * (du * sin + dv * cos)
             g[RISE] = step
-            # d(distance)/da through rho^2 = u^2/a^2 + v^2/b^2 and the slope.
-            g[A] = steep * (u * s / (p[A] * slope) + 2.0 * bend * s * s / p[A])
-            g[B] = steep * (v * t / (p[B] * slope) + 2.0 * bend * t * t / p[B])
+            g[A] = steep * (2.0 * bend * s * s - outward * u * s) / p[A]
+            g[B] = steep * (2.0 * bend * t * t - outward * v * t) / p[B]
             g[QX], g[QY] = p[LIGHT] * glow * ex * per_w2, p[LIGHT] * glow * ey * per_w2
             g[LIGHT] = glow
             g[WIDTH] = p[LIGHT] * glow * away2 / p[WIDTH]

@@ -33,6 +33,9 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
             "expected uint8 of shape (height, width)"
         )
     check_image_size(rig.camera, image.shape[1], image.shape[0], f"frame {frame.name or frame.index}")
+    if not image.flags.writeable:
+        # Kernels are compiled anew for read-only arrays, and might then round differently.
+        image = image.copy()
     plan = plan_for(rig)
     scratch = plan.borrow_scratch()
     blobs = find_blobs(image, plan.largest_radius_px, plan.masks, rig.centre, scratch)

@@ -12,14 +12,14 @@ import numpy as np
 
 from asterism.protocol.messages import Fate
 from asterism.server.background import interpolate
-from asterism.server.compiled import compiled
+from asterism.server.compiled import compiled, compiled_sums
 from asterism.server.components import AREA, PEAK, X0, X1, Y0, Y1
 
 # Columns of the spot table: centre, semi-axes and angle of the ellipse (px, rad), height above the local background,
 # the background's level at the centre and its slopes (grey levels, per px), its noise, the share of the spot's
 # pixels that are saturated, the window (px, exclusive ends), the fate, and, where other light leans on the spot, how
-# far, in px, that pulls the foot of its profile away from the upper part (else 0), and whether the spot was split
-# from others.
+# far, in px, that pulls the foot of its profile away from the upper part (else 0), whether the spot was split from
+# others, and, once it is centred, chi squared per degree of freedom of the fit.
 (
     X,
     Y,
@@ -39,8 +39,9 @@ from asterism.server.components import AREA, PEAK, X0, X1, Y0, Y1
     FATE,
     SHOULDER,
     TOUCHING,
-) = range(18)
-SPOT_COLUMNS = 18
+    MISFIT,
+) = range(19)
+SPOT_COLUMNS = 19
 
 # The verdicts, as plain integers for the compiled code.
 UNEXPLAINED = int(Fate.UNEXPLAINED)
@@ -62,6 +63,7 @@ PEAK_SHARE = 0.55  # a single pixel with more of a spot's light than this is a h
 PROMINENCE = 0.12  # a peak that stands out less, as a share of its height, belongs to its neighbour
 CLIP = (0.12, 0.7)  # the part of a spot's profile that its shape is taken from
 BLUR_PX2 = 0.92  # what blur (sigma 0.7 px) and pixels add to the second moments of the clipped profile, times four
+CLIP_SIGMAS = 2.5  # and never so low that noise all over the window counts
 UPPER_CLIP = (0.45, 0.85)  # the same where a shoulder of other light is suspected
 UPPER_INSET_PX = 0.33  # how far inside the disc's edge that upper part lies
 SHOULDER_PX = 0.05  # a centre that moves more between the whole profile and its upper part has other light beside it
@@ -220,71 +222,118 @@ def _ellipse(s, sx, sy, sxx, sxy, syy):
     return mx, my, mean + half, max(mean - half, 0.0), 0.5 * math.atan2(2.0 * vxy, vxx - vyy)
 
 
+@compiled_sums
+def _gather_window(image, x0, x1, y0, y1, spot, pixels):
+    """Fill ``pixels`` (4, capacity) with x, y from the window's corner, height above the plane, level; how many."""
+    width = x1 - x0
+    level = spot[LEVEL] - 0.5 * spot[SLOPE_X] * (width - 1) - 0.5 * spot[SLOPE_Y] * (y1 - y0 - 1)
+    us, vs, zs, values = pixels[0], pixels[1], pixels[2], pixels[3]
+    slope_x, slope_y = spot[SLOPE_X], spot[SLOPE_Y]
+    n = 0
+    for y in range(y1 - y0):
+        base = level + slope_y * y
+        for x in range(width):
+            value = float(image[y0 + y, x0 + x])
+            us[n + x] = x
+            vs[n + x] = y
+            zs[n + x] = value - (base + slope_x * x)
+            values[n + x] = value
+        n += width
+    return n
+
+
 @compiled
-def _shape(image, labels, label, x0, x1, y0, y1, spot):
+def _keep_label(labels, label, n, pixels):
+    """Keep only the pixels of a window that have this label; how many."""
+    kept = 0
+    for i in range(n):
+        if labels[i] == label:
+            for k in range(4):
+                pixels[k, kept] = pixels[k, i]
+            kept += 1
+    return kept
+
+
+@compiled
+def _brightest(pixels, n):
+    """The brightest pixel's height, and the mean of the three brightest."""
+    zs = pixels[2]
+    first = second = third = 0.0
+    for i in range(n):
+        z = zs[i]
+        if z > third:
+            if z > first:
+                first, second, third = z, first, second
+            elif z > second:
+                second, third = z, second
+            else:
+                third = z
+    return first, (first + second + third) / 3.0
+
+
+@compiled_sums
+def _add_up(pixels, n, height, noise, sums):
+    """Fill ``sums`` (15,): six raw moments of the clipped profile, six of its upper part, the pixels above half height,
+    the saturated ones among them, all light.
+    """
+    low, high = max(CLIP[0] * height, CLIP_SIGMAS * noise), CLIP[1] * height
+    upper_low, upper_high = UPPER_CLIP[0] * height, UPPER_CLIP[1] * height
+    half = 0.5 * height
+    us, vs, zs, values = pixels[0], pixels[1], pixels[2], pixels[3]
+    s = sx = sy = sxx = sxy = syy = 0.0
+    t = tx = ty = txx = txy = tyy = 0.0
+    area = saturated = total = 0.0
+    for i in range(n):
+        u, v, z = us[i], vs[i], zs[i]
+        total += max(z, 0.0)
+        q = max(min(z, high) - low, 0.0)
+        qu, qv = q * u, q * v
+        s += q
+        sx += qu
+        sy += qv
+        sxx += qu * u
+        sxy += qu * v
+        syy += qv * v
+        q = max(min(z, upper_high) - upper_low, 0.0)
+        qu, qv = q * u, q * v
+        t += q
+        tx += qu
+        ty += qv
+        txx += qu * u
+        txy += qu * v
+        tyy += qv * v
+        area += 1.0 if z > half else 0.0
+        saturated += 1.0 if z > half and values[i] >= 255.0 else 0.0
+    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = s, sx, sy, sxx, sxy, syy
+    sums[6], sums[7], sums[8], sums[9], sums[10], sums[11] = t, tx, ty, txx, txy, tyy
+    sums[12], sums[13], sums[14] = area, saturated, total
+
+
+@compiled
+def _shape(image, labels, label, x0, x1, y0, y1, spot, pixels):
     """Centre and ellipse of a spot from the moments of its profile, clipped from below and above.
 
     Only the pixels of ``label`` count (all pixels of the window if it is -1). Other light that leans on the spot
     pulls the foot of the profile more than its upper part; where the two centres differ by more than noise explains,
     the upper part alone gives the shape. Fills X, Y, SEMI_A, SEMI_B, ANGLE, HEIGHT, SHOULDER and SATURATED_SHARE;
-    returns the area at half height and the share of the light that the brightest pixel has.
+    returns the area at half height and the share of the light that the brightest pixel has. ``pixels`` is scratch.
     """
-    width = x1 - x0
-    cx, cy = 0.5 * (x0 + x1 - 1), 0.5 * (y0 + y1 - 1)
-    first = second = third = 0.0
-    total = 0.0
-    for y in range(y0, y1):
-        for x in range(x0, x1):
-            if label >= 0 and labels[(y - y0) * width + x - x0] != label:
-                continue
-            z = float(image[y, x]) - (spot[LEVEL] + spot[SLOPE_X] * (x - cx) + spot[SLOPE_Y] * (y - cy))
-            total += max(z, 0.0)
-            if z > first:
-                first, second, third = z, first, second
-            elif z > second:
-                second, third = z, second
-            elif z > third:
-                third = z
-    height = (first + second + third) / 3.0
+    n = _gather_window(image, x0, x1, y0, y1, spot, pixels)
+    if label >= 0:
+        n = _keep_label(labels, label, n, pixels)
+    first, height = _brightest(pixels, n)
     spot[HEIGHT] = height
-    low, high = CLIP[0] * height, CLIP[1] * height
-    upper_low, upper_high = UPPER_CLIP[0] * height, UPPER_CLIP[1] * height
-    s = sx = sy = sxx = sxy = syy = 0.0
-    t = tx = ty = txx = txy = tyy = 0.0
-    area, saturated = 0, 0
-    for y in range(y0, y1):
-        for x in range(x0, x1):
-            if label >= 0 and labels[(y - y0) * width + x - x0] != label:
-                continue
-            z = float(image[y, x]) - (spot[LEVEL] + spot[SLOPE_X] * (x - cx) + spot[SLOPE_Y] * (y - cy))
-            if z <= low:
-                continue
-            u, v = float(x - x0), float(y - y0)
-            q = min(z, high) - low
-            s += q
-            sx += q * u
-            sy += q * v
-            sxx += q * u * u
-            sxy += q * u * v
-            syy += q * v * v
-            if z > upper_low:
-                q = min(z, upper_high) - upper_low
-                t += q
-                tx += q * u
-                ty += q * v
-                txx += q * u * u
-                txy += q * u * v
-                tyy += q * v * v
-            if z > 0.5 * height:
-                area += 1
-                saturated += image[y, x] == 255
-    spot[SATURATED_SHARE] = saturated / max(area, 1)
+    sums = np.empty(15)
+    _add_up(pixels, n, height, spot[NOISE], sums)
+    area = int(sums[12])
+    spot[SATURATED_SHARE] = sums[13] / max(area, 1)
     spot[SHOULDER] = 0.0
-    if s <= 0.0 or t <= 0.0:
-        spot[X], spot[Y], spot[SEMI_A], spot[SEMI_B], spot[ANGLE] = cx, cy, 0.5, 0.5, 0.0
+    if sums[0] <= 0.0 or sums[6] <= 0.0:
+        spot[X], spot[Y] = 0.5 * (x0 + x1 - 1), 0.5 * (y0 + y1 - 1)
+        spot[SEMI_A], spot[SEMI_B], spot[ANGLE] = 0.5, 0.5, 0.0
         return area, 1.0
-    mx, my, large, small, angle = _ellipse(s, sx, sy, sxx, sxy, syy)
-    ux, uy, upper_large, upper_small, upper_angle = _ellipse(t, tx, ty, txx, txy, tyy)
+    mx, my, large, small, angle = _ellipse(sums[0], sums[1], sums[2], sums[3], sums[4], sums[5])
+    ux, uy, upper_large, upper_small, upper_angle = _ellipse(sums[6], sums[7], sums[8], sums[9], sums[10], sums[11])
     shoulder = math.hypot(mx - ux, my - uy)
     if shoulder > SHOULDER_PX + 2.5 * spot[NOISE] / height:
         spot[SHOULDER] = shoulder
@@ -297,7 +346,7 @@ def _shape(image, labels, label, x0, x1, y0, y1, spot):
         spot[SEMI_A] = math.sqrt(max(4.0 * large - BLUR_PX2, 0.16))
         spot[SEMI_B] = math.sqrt(max(4.0 * small - BLUR_PX2, 0.16))
         spot[ANGLE] = angle
-    return area, first / max(total, 1e-9)
+    return area, first / max(sums[14], 1e-9)
 
 
 @compiled
@@ -329,7 +378,7 @@ def _looks_single(component, spot, area):
     expected = math.pi * (spot[SEMI_A] + 0.3) * (spot[SEMI_B] + 0.3)
     return (
         component[AREA] <= largest + 3
-        and area >= 0.75 * expected - 2.0
+        and area >= 0.7 * expected - 3.0
         and spot[SEMI_A] + 0.5 < 1.7 * (spot[SEMI_B] + 0.5)
     )
 
@@ -351,6 +400,7 @@ def measure_spots(image, thresholds, table, n_components, level, noise, sigmas, 
     labels = np.empty(0, np.int32)
     regions = np.empty((512, 4))
     nothing = np.empty(0, np.int32)
+    pixels = np.empty((4, 1024))
     count = 0
     for k in range(n_components):
         component = table[k]
@@ -383,20 +433,24 @@ def measure_spots(image, thresholds, table, n_components, level, noise, sigmas, 
             spot[FATE] = fate
             count += 1
             continue
+        cells = (wx1 - wx0) * (wy1 - wy0)
+        if pixels.shape[1] < cells:
+            pixels = np.empty((4, cells))
         spot[LEVEL], spot[SLOPE_X], spot[SLOPE_Y], _ = _ring_background(
             image, wx0, wx1, wy0, wy1, base, rough, faintest
         )
-        area, share = _shape(image, nothing, -1, wx0, wx1, wy0, wy1, spot)
+        area, share = _shape(image, nothing, -1, wx0, wx1, wy0, wy1, spot, pixels)
         if spot[SHOULDER] == 0.0 and _looks_single(component, spot, area) and not _at_edge(image, x0, x1, y0, y1):
             spot[FATE] = _judge(spot, area, share, faintest, largest_radius)
             count += 1
             continue
-        cells = (wx1 - wx0) * (wy1 - wy0)
         if labels.shape[0] < cells:
             labels = np.empty(cells, np.int32)
         n_regions = watershed(image, thresholds, wx0, wx1, wy0, wy1, base, rough, labels, regions)
         _keep_group(labels[:cells], regions, n_regions, component)
-        count = _measure_regions(image, labels, regions, n_regions, spot.copy(), faintest, largest_radius, spots, count)
+        count = _measure_regions(
+            image, labels, regions, n_regions, spot.copy(), faintest, largest_radius, spots, count, pixels
+        )
     return count
 
 
@@ -469,7 +523,7 @@ def _ring_quartile(image, x0, x1, y0, y1):
 
 
 @compiled
-def _measure_regions(image, labels, regions, n_regions, whole, faintest, largest_radius, spots, count):
+def _measure_regions(image, labels, regions, n_regions, whole, faintest, largest_radius, spots, count, pixels):
     """Measure every region of a split component as a spot of its own; return the new number of spots."""
     wx0, wx1, wy0, wy1 = int(whole[WX0]), int(whole[WX1]), int(whole[WY0]), int(whole[WY1])
     width = wx1 - wx0
@@ -494,7 +548,7 @@ def _measure_regions(image, labels, regions, n_regions, whole, faintest, largest
         spot[LEVEL], spot[SLOPE_X], spot[SLOPE_Y], _ = _ring_background(
             image, x0, x1, y0, y1, around, whole[NOISE], faintest
         )
-        area, share = _shape(image, own, region, x0, x1, y0, y1, spot)
+        area, share = _shape(image, own, region, x0, x1, y0, y1, spot, pixels)
         spot[FATE] = AT_EDGE if cut[region] else _judge(spot, area, share, faintest, largest_radius)
         count += 1
     return count

@@ -25,7 +25,7 @@ class Canvas:
     def of(height: int, width: int, background: float = 8.0, slope: tuple[float, float] = (0.0, 0.0)) -> "Canvas":
         """An empty image, with a brightness gradient in grey levels per px along x and y."""
         y, x = np.mgrid[0:height, 0:width]
-        return Canvas(background + slope[0] * x + slope[1] * y)
+        return Canvas(background + slope[0] * x + slope[1] * y + 0.0)
 
     def ellipse(
         self, x: float, y: float, a: float, b: float | None = None, angle: float = 0.0, level: float = 170.0,

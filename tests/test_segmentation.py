@@ -67,7 +67,7 @@ def test_components_equal_scipys_labelling(rng: np.random.Generator) -> None:
         )
         blocks = -(-97 // BLOCK_ROWS)
         thresholds = rng.integers(80, 100, (blocks, width)).astype(np.uint8)
-        hot, runs = np.empty((blocks, width), np.uint8), np.empty((5000, 3), np.int32)
+        hot, runs = np.zeros((blocks, -(-width // 8) * 8), np.uint8), np.empty((5000, 3), np.int32)
         table = np.empty((1000, 7), np.int32)
         mark_hot_columns(image, thresholds, hot)
         count = connect(image, thresholds, hot, runs, np.empty(5000, np.int32), table)
