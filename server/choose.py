@@ -12,7 +12,7 @@ from asterism.server.compiled import compiled
 from asterism.server.planar import NO_SOLUTION
 from asterism.server.rotations import product_into, quat_into
 from asterism.server.search import median_height
-from asterism.server.solve import move_origin
+from asterism.server.solve import move_origin, turn_axes
 from asterism.server.track import EVIDENCE, HAS_OTHER, TURN_SIGMA, follow_track, is_fresh, tilt_cost
 
 MOST_ODDS = 1e12
@@ -49,9 +49,7 @@ def choose(
     """
     totals = np.empty(2)
     turn, parent, axis, arm = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
-    wide, inverse = np.zeros((6, 6)), np.empty((3, 3))
-    wide[:3, :3] = view
-    wide[3:, 3:] = view
+    inverse = np.empty((3, 3))
     for k in range(robots.shape[0]):
         robot = robots[k]
         known = numbers[robot]
@@ -104,7 +102,7 @@ def choose(
                 out = parent_covariances[k]
                 out[:, :] = covariances[k, which]
                 move_origin(out, arm)
-                out[:, :] = wide @ out @ wide.T
+                turn_axes(view, out)
                 for i in range(6):
                     for j in range(i):
                         out[i, j] = out[j, i] = 0.5 * (out[i, j] + out[j, i])

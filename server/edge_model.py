@@ -43,6 +43,7 @@ TURN_SIGMA = 0.2  # rad; a circle has no angle
 ITERATIONS = 3
 SATURATED_ITERATIONS = 6  # where the top is cut off, rise and size are found from the flanks alone
 MANY_SATURATED = 0.05  # share of the spot's pixels
+NEAR_PX = 3.0  # outside the edge, within which pixels tell where it is
 LONGEST_STEP_PX = 0.7
 EVENNESS = 0.004  # of a spot's light: how uneven the model's own error leaves what is outside the ellipse, one sigma
 NEIGHBOUR_MARGIN_PX = 1.0  # pixels nearer than this to another spot are left out
@@ -118,17 +119,17 @@ def add_up(xs, ys, values, n, p, a, b, angle, around, floor, gain, strange, sums
         # Beyond the sensor's ceiling a pixel says no more than the model does.
         cut = value >= SATURATED and told >= SATURATED - 3.0
         odd = residual > 0.0 and residual * residual > limit * (variance + loose)
-        outside = t < OUTSIDE
-        per_away = 1.0 / math.sqrt(dx * dx + dy * dy + 1e-12)
-        beside = (value - far_level - far_x * xs[i] - far_y * ys[i] - lit) * per_away if outside else 0.0
-        side_x += beside * dx
-        side_y += beside * dy
-        side_variance += 0.5 * variance if outside else 0.0
         w = 0.0 if cut or odd else 1.0 / variance
         steep = rise * bell * per_blur
         outward, bend = (1.0 / reach - 2.0) * per_slope, distance * per_slope * per_slope
         du, dv = pu * (outward - bend * per_a2), pv * (outward - bend * per_b2)
-        gx, gy = -steep * (du * cos - dv * sin), -steep * (du * sin + dv * cos)
+        away_x, away_y = dv * sin - du * cos, -du * sin - dv * cos  # of unit length, outwards
+        gx, gy = steep * away_x, steep * away_y
+        outside = t < OUTSIDE
+        beside = value - far_level - far_x * xs[i] - far_y * ys[i] - lit if outside else 0.0
+        side_x += beside * away_x
+        side_y += beside * away_y
+        side_variance += 0.5 * variance if outside else 0.0
         ga = steep * pu * (2.0 * bend * pu - outward * u)
         gb = steep * pv * (2.0 * bend * pv - outward * v)
         gw = -steep * t
@@ -264,30 +265,38 @@ def _improve(sums, p, start_rise, m, q):
 
 
 @compiled
-def gather_pixels(image, spot, neighbours, xs, ys, values):
-    """The spot's pixels without its neighbours': places from the window's middle, and grey levels; how many."""
+def gather_pixels(image, spot, neighbours, pixels):
+    """The spot's pixels without its neighbours', those near its edge first: how many are near, and how many in all.
+
+    ``pixels`` (3, capacity) receives places from the window's middle, px, and grey levels.
+    """
     height, width = image.shape
     x0, x1 = max(int(spot[WX0]), 0), min(int(spot[WX1]), width)
     y0, y1 = max(int(spot[WY0]), 0), min(int(spot[WY1]), height)
     middle_x, middle_y = 0.5 * (spot[WX0] + spot[WX1] - 1.0), 0.5 * (spot[WY0] + spot[WY1] - 1.0)
-    n = 0
+    near2 = (spot[SEMI_A] + NEAR_PX) ** 2
+    near, far = 0, pixels.shape[1]
     for y in range(y0, y1):
-        row = image[y]
         for x in range(x0, x1):
-            xs[n], ys[n], values[n] = x - middle_x, y - middle_y, row[x]
-            n += 1
-    if neighbours.shape[0] == 0:
-        return n
-    kept = 0
-    for i in range(n):
-        taken = False
-        for k in range(neighbours.shape[0]):
-            away2 = (xs[i] + middle_x - neighbours[k, 0]) ** 2 + (ys[i] + middle_y - neighbours[k, 1]) ** 2
-            taken |= away2 < (neighbours[k, 2] + NEIGHBOUR_MARGIN_PX) ** 2
-        if not taken:
-            xs[kept], ys[kept], values[kept] = xs[i], ys[i], values[i]
-            kept += 1
-    return kept
+            taken = False
+            for k in range(neighbours.shape[0]):
+                away2 = (x - neighbours[k, 0]) ** 2 + (y - neighbours[k, 1]) ** 2
+                taken |= away2 < (neighbours[k, 2] + NEIGHBOUR_MARGIN_PX) ** 2
+            if taken:
+                continue
+            if (x - spot[X]) ** 2 + (y - spot[Y]) ** 2 < near2:
+                place = near
+                near += 1
+            else:
+                far -= 1
+                place = far
+            pixels[0, place], pixels[1, place], pixels[2, place] = x - middle_x, y - middle_y, image[y, x]
+    count = near
+    for place in range(far, pixels.shape[1]):
+        for k in range(3):
+            pixels[k, count] = pixels[k, place]
+        count += 1
+    return near, count
 
 
 @compiled
@@ -301,7 +310,7 @@ def fit_edge_model(image, spot, neighbours, gain, pixels, sums, out):
     squared per degree of freedom, and what the residuals say of the sensor's gain: numerator and denominator.
     """
     xs, ys, values = pixels[0], pixels[1], pixels[2]
-    n = gather_pixels(image, spot, neighbours, xs, ys, values)
+    near, n = gather_pixels(image, spot, neighbours, pixels)
     middle_x, middle_y = 0.5 * (spot[WX0] + spot[WX1] - 1.0), 0.5 * (spot[WY0] + spot[WY1] - 1.0)
     floor = spot[NOISE] * spot[NOISE] + 0.02
     p, m, q, around = np.zeros(PARAMETERS), np.empty((6, 6)), np.empty(6), np.empty(3)
@@ -313,7 +322,9 @@ def fit_edge_model(image, spot, neighbours, gain, pixels, sums, out):
     iterations = SATURATED_ITERATIONS if spot[SATURATED_SHARE] > MANY_SATURATED else ITERATIONS
     told = True
     for trial in range(iterations):
-        add_up(xs, ys, values, n, p, spot[SEMI_A], spot[SEMI_B], spot[ANGLE], around, floor, gain, trial > 0, sums)
+        # Away from the edge there is little to learn: only the last step looks at it.
+        used = n if trial == iterations - 1 else near
+        add_up(xs, ys, values, used, p, spot[SEMI_A], spot[SEMI_B], spot[ANGLE], around, floor, gain, trial > 0, sums)
         told = _improve(sums, p, spot[HEIGHT], m, q)
         if not told:
             break

@@ -1,7 +1,5 @@
 """The chain: Frame -> Blobs -> Matches -> PoseEstimate | Lost -> FrameResult. Read this first."""
 
-import math
-
 import numpy as np
 
 from asterism.protocol.camera import check_image_size
@@ -15,9 +13,11 @@ from asterism.server.frame import Frame, FrameResult
 from asterism.server.identify import Matches, Rays, identify, rays_of
 from asterism.server.lens import undistort
 from asterism.server.plan import Plan, plan_for
+from asterism.server.search import LEDS
 from asterism.server.solve import Alternative, Lost, PoseEstimate, solve_robots
 from asterism.server.track import Tracks
 
+ALL_LEDS = tuple(range(LEDS))
 SURE = 100.0  # odds beyond which the other tilt is not worth telling
 
 
@@ -72,8 +72,6 @@ def _answers(
         plan.layouts[matches.robots], matches.assignment, seen.rays, seen.covariances, blobs.centres_px[seen.rows],
         matches.rotations, matches.ts, matches.is_warm, plan.lens, rotations, ts, costs, covariances, residuals,
     )  # fmt: skip
-    visible = matches.assignment >= 0
-    spots = seen.rows[matches.assignment]  # (m, 6); meaningless where an LED is not visible
     best, odds = np.empty(m, np.int64), np.empty(m)
     positions, quaternions, parent_covariances = np.empty((m, 2, 3)), np.empty((m, 2, 4)), np.empty((m, 6, 6))
     choose(
@@ -82,24 +80,33 @@ def _answers(
         known.seen_ns, known.rotations, known.ts, known.velocities, known.turns, known.other_rotations,
         known.numbers, best, odds, positions, quaternions, parent_covariances,
     )  # fmt: skip
+    # What can be done for all robots at once is; Python is slow at small arrays.
+    visible = matches.assignment >= 0
+    counts = visible.sum(axis=1)
+    left = residuals[np.arange(m), best]
+    rms = np.sqrt((left * left).sum(axis=(1, 2)) / np.maximum(counts, 1)).tolist()
+    spots = np.where(visible, seen.rows[matches.assignment], -1)
+    told = visible & (best >= 0)[:, None]
+    owners, leds = np.nonzero(told)
+    rows = spots[told]
+    blobs.fates[rows], blobs.robots[rows], blobs.leds[rows] = Fate.LED, matches.robots[owners], leds
     found: dict[int, PoseEstimate | Lost] = {}
-    for k, index in enumerate(matches.robots.tolist()):
-        if best[k] < 0:
+    for k, (index, chosen, odd, count, spots_k) in enumerate(
+        zip(matches.robots.tolist(), best.tolist(), odds.tolist(), counts.tolist(), spots.tolist(), strict=True)
+    ):
+        if chosen < 0:
             found[index] = Lost("no pose that faces the camera explains its spots")
             continue
-        leds = np.flatnonzero(visible[k])
-        rows = spots[k, leds]
-        blobs.fates[rows], blobs.robots[rows], blobs.leds[rows] = Fate.LED, index, leds
-        left = residuals[k, best[k], leds]
+        lit = ALL_LEDS if count == len(ALL_LEDS) else tuple(led for led in ALL_LEDS if spots_k[led] >= 0)
         found[index] = PoseEstimate(
             position=positions[k, 0],
             orientation=quaternions[k, 0],
             covariance=parent_covariances[k],
-            leds=tuple(leds.tolist()),
-            spots=tuple(rows.tolist()),
-            residuals_px=left,
-            rms_px=math.sqrt(float((left * left).sum()) / len(leds)),
-            alternative=(Alternative(positions[k, 1], quaternions[k, 1], float(odds[k])) if odds[k] < SURE else None),
+            leds=lit,
+            spots=tuple(spots_k) if lit is ALL_LEDS else tuple(spots_k[led] for led in lit),
+            residuals_px=left[k] if lit is ALL_LEDS else left[k, list(lit)],
+            rms_px=rms[k],
+            alternative=Alternative(positions[k, 1], quaternions[k, 1], odd) if odd < SURE else None,
         )
     return {
         robot.id: found[index] if index in found else _lost(matches.doubts.get(index), len(seen.rows))

@@ -18,6 +18,7 @@ from asterism.server.rotations import exp_into, product_into
 
 HUBER2 = 9.0  # squared Mahalanobis distance beyond which a residual counts linearly
 NO_SOLUTION = 1e18
+CONVERGED = 1e-6  # squared sigmas: a step that gains less is the last
 
 
 @compiled
@@ -281,7 +282,7 @@ def refine_pose(rotation, t, points, rays, information, iterations):
             t[:] = new_t
             cost = new_cost
             damping *= 0.1
-            if gained <= 1e-7 * cost + 1e-12:
+            if gained <= CONVERGED:
                 break
         else:
             damping = damping * 10.0 + 1e-4

@@ -14,15 +14,17 @@ from asterism.server.compiled import compiled
 from asterism.server.lens import FX, FY, project_point
 from asterism.server.planar import (
     NO_SOLUTION,
-    cholesky_solve,
     normal_equations,
     other_minimum,
     refine_pose,
     solve_both,
 )
+from asterism.server.rotations import product_into
 from asterism.server.search import LEDS
 
 ITERATIONS = 12
+FEW = 3  # iterations, after which a second minimum that costs more than the first by HOPELESS is good enough
+HOPELESS = 80.0  # squared sigmas: odds of e^40
 ODD = 10.0  # how many times worse six LEDs fit than five before the sixth is left out
 LEAST_SIGMA_PX = 0.001  # no centre is known better than this
 # 99.9 % of chi squared for 2, 4 and 6 degrees of freedom: beyond it the spots' noise is not the whole story.
@@ -120,7 +122,10 @@ def _squared_residuals(rotation, t, points, seen):
 
 @compiled
 def _odd_led(layout, spots, rays, ray_covariances, start_rotation, start_t, focal):
-    """The LED of six whose spot is not where the other five say, or -1: other light may have moved it."""
+    """The LED of six whose spot is not where the other five say, or -1: other light may have moved it.
+
+    The start is changed to the pose refined on all six, where they agree.
+    """
     points, seen, information = np.empty((LEDS, 3)), np.empty((LEDS, 2)), np.empty((LEDS, 3))
     centre, rotation, t = np.empty(3), np.empty((3, 3)), np.empty(3)
     trial = np.empty(LEDS, np.int64)
@@ -140,6 +145,11 @@ def _odd_led(layout, spots, rays, ray_covariances, start_rotation, start_t, foca
         cost = refine_pose(rotation, t, points[:count], seen[:count], information[:count], 5)
         if without < 0:
             if cost <= _SURPRISE[LEDS]:
+                start_rotation[:, :] = rotation
+                for i in range(3):
+                    start_t[i] = t[i]
+                    for j in range(3):
+                        start_t[i] -= rotation[i, j] * centre[j]
                 return -1
             whole_cost = cost
         elif cost < best_cost:
@@ -164,14 +174,17 @@ def solve_robots(
     the plane's origin (m) and rotation about the camera's axes (rad), ``residuals`` (m, 2, 6, 2) px.
     """
     points, seen, information = np.empty((LEDS, 3)), np.empty((LEDS, 2)), np.empty((LEDS, 3))
-    centre, a, b = np.empty(3), np.empty((6, 6)), np.empty(6)
+    centre, arm, a, b = np.empty(3), np.empty(3), np.empty((6, 6)), np.empty(6)
+    start, start_t = np.empty((3, 3)), np.empty(3)
     focal = math.sqrt(lens[FX] * lens[FY])
     for robot in range(layouts.shape[0]):
         layout, spots = layouts[robot], assignment[robot]
         both, both_t, both_costs = rotations[robot], ts[robot], costs[robot]
         both_costs[:] = NO_SOLUTION
         extra = 0.0
-        without = _odd_led(layout, spots, rays, ray_covariances, start_rotations[robot], start_ts[robot], focal)
+        start[:, :] = start_rotations[robot]
+        start_t[:] = start_ts[robot]
+        without = _odd_led(layout, spots, rays, ray_covariances, start, start_t, focal)
         if without >= 0:
             spots[without] = -1
         for attempt in range(2):
@@ -182,14 +195,16 @@ def solve_robots(
                     if both_costs[which] < NO_SOLUTION:
                         both_costs[which] = refine_pose(both[which], both_t[which], p, s, w, ITERATIONS)
             elif is_warm[robot]:
-                both[0] = start_rotations[robot]
+                both[0] = start
                 for i in range(3):
-                    both_t[0, i] = start_ts[robot, i]
+                    both_t[0, i] = start_t[i]
                     for j in range(3):
-                        both_t[0, i] += start_rotations[robot, i, j] * centre[j]
+                        both_t[0, i] += start[i, j] * centre[j]
                 both_costs[0] = refine_pose(both[0], both_t[0], p, s, w, ITERATIONS)
                 if other_minimum(both[0], both_t[0], p, s, both[1], both_t[1]) and both_t[1, 2] > 0.0:
-                    both_costs[1] = refine_pose(both[1], both_t[1], p, s, w, ITERATIONS)
+                    both_costs[1] = refine_pose(both[1], both_t[1], p, s, w, FEW)
+                    if both_costs[1] < both_costs[0] + HOPELESS:
+                        both_costs[1] = refine_pose(both[1], both_t[1], p, s, w, ITERATIONS)
             else:
                 solve_both(p, s, w, ITERATIONS, True, both, both_t, both_costs)
             better = 0 if both_costs[0] <= both_costs[1] else 1
@@ -208,10 +223,12 @@ def solve_robots(
             normal_equations(rotation, t, p, s, w, a, b)
             _invert(a, covariances[robot, which])
             # From the visible LEDs' mean back to the plane's origin: t -= R centre, with the rotation's share.
-            q = rotation @ centre
             for i in range(3):
-                t[i] -= q[i]
-            move_origin(covariances[robot, which], -q)
+                arm[i] = 0.0
+                for j in range(3):
+                    arm[i] -= rotation[i, j] * centre[j]
+                t[i] += arm[i]
+            move_origin(covariances[robot, which], arm)
             for led in range(LEDS):
                 residuals[robot, which, led, :] = 0.0
                 if spots[led] >= 0:
@@ -227,27 +244,67 @@ def solve_robots(
 
 @compiled
 def _invert(a, out):
-    """Inverse (6, 6) of the symmetric matrix whose lower triangle ``a`` holds; huge where it is singular."""
-    column = np.empty(6)
-    work = np.empty((6, 6))
+    """Inverse (6, 6) of the symmetric matrix whose lower triangle ``a`` holds, destroyed; huge where it is singular.
+
+    Source: Cholesky, a = L L', then the inverse of L, column by column.
+    """
     for j in range(6):
-        work[:, :] = a
-        column[:] = 0.0
-        column[j] = 1.0
-        if not cholesky_solve(work, column):
-            out[:, :] = 0.0
-            for k in range(6):
-                out[k, k] = 1e6
-            return
-        out[:, j] = column
+        for k in range(j + 1):
+            total = a[j, k]
+            for i in range(k):
+                total -= a[j, i] * a[k, i]
+            if k < j:
+                a[j, k] = total / a[k, k]
+            elif total > 0.0:
+                a[j, j] = math.sqrt(total)
+            else:
+                out[:, :] = 0.0
+                for i in range(6):
+                    out[i, i] = 1e6
+                return
+    for j in range(6):
+        a[j, j] = 1.0 / a[j, j]
+        for i in range(j + 1, 6):
+            total = 0.0
+            for k in range(j, i):
+                total -= a[i, k] * a[k, j]
+            a[i, j] = total / a[i, i]
+    for i in range(6):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(i, 6):
+                total += a[k, i] * a[k, j]
+            out[i, j] = out[j, i] = total
 
 
 @compiled
 def move_origin(covariance, arm):
     """Covariance (6, 6) of pose, translation first, when its origin moves by ``arm`` (3,), in the parent's axes."""
-    # dt' = dt + w x arm
-    j = np.eye(6)
-    j[0, 4], j[0, 5] = arm[2], -arm[1]
-    j[1, 3], j[1, 5] = -arm[2], arm[0]
-    j[2, 3], j[2, 4] = arm[1], -arm[0]
-    covariance[:, :] = j @ covariance @ j.T
+    # dt' = dt + w x arm: rows of translation gain K times rows of rotation, then the columns likewise.
+    a, b, c = arm[0], arm[1], arm[2]
+    for j in range(6):
+        p, q, r = covariance[3, j], covariance[4, j], covariance[5, j]
+        covariance[0, j] += q * c - r * b
+        covariance[1, j] += r * a - p * c
+        covariance[2, j] += p * b - q * a
+    for i in range(6):
+        p, q, r = covariance[i, 3], covariance[i, 4], covariance[i, 5]
+        covariance[i, 0] += q * c - r * b
+        covariance[i, 1] += r * a - p * c
+        covariance[i, 2] += p * b - q * a
+
+
+@compiled
+def turn_axes(turn, covariance):
+    """The same covariance (6, 6) about axes turned by ``turn`` (3, 3), in place."""
+    block, half = np.empty((3, 3)), np.empty((3, 3))
+    for row in range(0, 6, 3):
+        for column in range(0, 6, 3):
+            block[:, :] = covariance[row : row + 3, column : column + 3]
+            product_into(turn, block, half)
+            for i in range(3):
+                for j in range(3):
+                    total = 0.0
+                    for k in range(3):
+                        total += half[i, k] * turn[j, k]
+                    covariance[row + i, column + j] = total
