@@ -1,29 +1,25 @@
 """Compile the chain before it is needed: the first time on a machine that takes a while, and is said."""
 
+import contextlib
 import sys
-import threading
 
 from asterism.protocol.rig import load_rig
-
-SAY_AFTER_S = 1.5
+from asterism.server.compiled import cache_folder
 
 
 def warm_up() -> None:
     """Run every compiled function once; what is compiled is kept on disk for the next start."""
-    say = threading.Timer(
-        SAY_AFTER_S,
-        lambda: print(
+    done = cache_folder() / "complete"
+    if not done.exists():
+        print(
             "compiling the chain for this machine (only the first time; about a minute) ...",
             file=sys.stderr,
             flush=True,
-        ),
-    )
-    say.daemon = True
-    say.start()
-    try:
-        _run()
-    finally:
-        say.cancel()
+        )
+    _run()
+    # Where nothing can be kept, the next start says so again.
+    with contextlib.suppress(OSError):
+        done.touch()
 
 
 def _run() -> None:

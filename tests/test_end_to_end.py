@@ -14,17 +14,10 @@ from asterism.clients import PoseClient
 from asterism.protocol.geometry import Pose, angle_between
 from asterism.recordings.reader import Recording
 from asterism.server.demo_rig import DEMO_RIG
-from asterism.server.warm_up import warm_up
 from tests.helpers import shared
 from tests.servers import Subscriber, asterism, free_endpoint, open_router, running, wait_for_line
 
 FRAMES = 45
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiled() -> None:
-    """Compile before the clocks of these tests run."""
-    warm_up()
 
 
 @pytest.fixture(scope="module")

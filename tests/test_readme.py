@@ -12,7 +12,6 @@ import pytest
 from asterism.protocol.rig import parse_rig
 from asterism.server.__main__ import _parser
 from asterism.server.demo_rig import DEMO_RIG
-from asterism.server.warm_up import warm_up
 from tests.helpers import REPOSITORY
 from tests.servers import free_endpoint, running
 
@@ -71,7 +70,6 @@ def test_its_client_prints_poses() -> None:
     code = next(block for block in blocks("python") if "PoseClient" in block)
     endpoint = free_endpoint()
     assert "tcp/127.0.0.1:7447" in code
-    warm_up()
     with running("serve", DEMO_RIG, "sim", "--listen", endpoint):
         client = subprocess.Popen(
             [sys.executable, "-u", "-c", code.replace("tcp/127.0.0.1:7447", endpoint)],

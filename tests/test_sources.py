@@ -203,10 +203,11 @@ def numbered(count: int) -> Iterator[Frame]:
 def test_paced_frames_keep_their_spacing_and_are_stamped_when_played() -> None:
     before = time.time_ns()
     stamps = [frame.exposed_ns for frame in paced(numbered(6), None, lambda: False)]
-    assert stamps[0] >= before
-    assert all(b - a >= 9_000_000 for a, b in itertools.pairwise(stamps))
-    faster = [frame.exposed_ns for frame in paced(numbered(6), 1000.0, lambda: False)]
-    assert faster[-1] - faster[0] < 45_000_000
+    # Never early; how late is up to the machine.
+    assert all(stamp >= before + k * 10_000_000 for k, stamp in enumerate(stamps))
+    slow = (Frame(pattern(k), k * 10**10, k) for k in range(6))
+    faster = [frame.exposed_ns for frame in paced(slow, 1000.0, lambda: False)]
+    assert faster[-1] - faster[0] < 5 * 10**9
 
 
 def test_pacing_ends_when_it_is_told_to() -> None:
