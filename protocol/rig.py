@@ -11,7 +11,7 @@ from asterism.protocol.geometry import Floats, Pose, frozen_array
 from asterism.protocol.keys import key_problem
 from asterism.protocol.yaml_file import Section, parse_yaml, read_yaml
 
-ESTIMATORS = ("edge-model", "grey-square")
+ESTIMATORS = ("edge-model", "grey-square", "clip", "zernike")  # the first is the default
 COPLANAR = 0.02  # of the extent: LEDs farther from their common plane are refused
 SEPARATION = 0.02  # of the extent: constellations nearer than this cannot be told apart
 LARGEST_M = 5.0  # between two LEDs of a robot

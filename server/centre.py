@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from asterism.server.clip import fit_clip
 from asterism.server.compiled import compiled
 from asterism.server.edge_model import BLUR_PX, SUMS, fit_edge_model
 from asterism.server.grey_square import fit_grey_square
@@ -26,8 +27,9 @@ from asterism.server.spots import (
     X,
     Y,
 )
+from asterism.server.zernike import fit_zernike
 
-ESTIMATOR_NUMBERS = {"edge-model": 0, "grey-square": 1}
+ESTIMATOR_NUMBERS = {"edge-model": 0, "grey-square": 1, "clip": 2, "zernike": 3}
 
 GAIN = 0.035  # expected variance per grey level of light: a sensor of 7000 electrons at grey level 255
 GAIN_SIGMA = 0.02  # how well that is known before a frame's own residuals have told
@@ -109,8 +111,12 @@ def refine_centres(image, spots, estimator, centres, covariances):
         count = _neighbours_of(spots, order, place, widest, neighbours, other)
         if estimator == 0:
             fit_edge_model(image, spot, neighbours[:count], GAIN, pixels, sums, out)
-        else:
+        elif estimator == 1:
             fit_grey_square(image, spot, neighbours[:count], GAIN, out)
+        elif estimator == 2:
+            fit_clip(image, spot, neighbours[:count], GAIN, out)
+        else:
+            fit_zernike(image, spot, neighbours[:count], GAIN, out)
         if out[5] > ONE_SIDED or other[2] > 0.0:
             spot[SHOULDER] = max(spot[SHOULDER], UNEXPLAINED_LIGHT_PX)
         elif out[6] > STRANGE_MISFIT:

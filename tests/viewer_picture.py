@@ -6,6 +6,7 @@ on machines without a display.
 
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -34,6 +35,7 @@ def picture(recording: Path, out: Path, frame: int | None) -> None:
         },
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
+        start_new_session=True,
     )
     try:
         client = None
@@ -51,7 +53,8 @@ def picture(recording: Path, out: Path, frame: int | None) -> None:
         time.sleep(12.0)  # notices of the software renderer fade
         out.write_bytes(client.take_screenshot(max_size=1600))
     finally:
-        viewer.terminate()
+        # The program on the path only starts the viewer proper.
+        os.killpg(viewer.pid, signal.SIGTERM)
         viewer.wait()
 
 
