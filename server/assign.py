@@ -15,6 +15,8 @@ import numpy as np
 from asterism.protocol.geometry import Floats
 
 BEYOND_CHANCE = 12.0  # the least score, in nats: one false claim in 160 000 places looked at
+TWO_PLACES = "it is seen in two places"
+RIVAL = 4.0  # score of a brighter place of the same robot, from which on the dimmer one is not claimed
 MARGIN = 7.0  # over the best explanation without it, in nats: odds of 1000
 HIDDEN = math.log(10.0)  # what a hidden LED costs: one in ten is
 MIRROR_RATIO = 0.6  # of two explanations of one robot the dimmer is a mirror image if it is dimmer than this
@@ -81,6 +83,11 @@ def _same(a: Hypothesis, b: Hypothesis) -> bool:
     return a.robot == b.robot and sum(x == y >= 0 for x, y in zip(a.spots, b.spots, strict=True)) >= 4
 
 
+def _outshines(rival: Hypothesis, member: Hypothesis) -> bool:
+    """The same robot, much brighter and no mere chance: then the member may be its mirror image."""
+    return rival.robot == member.robot and member.height < MIRROR_RATIO * rival.height and rival.score > RIVAL
+
+
 def _exclude(a: Hypothesis, b: Hypothesis) -> bool:
     return a.robot == b.robot or bool(a.used & b.used)
 
@@ -101,6 +108,8 @@ def assign(hypotheses: Sequence[Hypothesis]) -> tuple[list[Hypothesis], dict[int
             rest = best_score - _best_set([h for h in strongest if h is not member])[1]
             if member.score < BEYOND_CHANCE:
                 doubts.setdefault(member.robot, "its spots may be chance")
+            elif any(_outshines(rival, member) for rival in strongest):
+                doubts[member.robot] = TWO_PLACES
             elif rest < MARGIN:
                 rivals = [h for h in strongest if h is not member and _exclude(h, member) and h not in best]
                 for rival in [member, *rivals]:
@@ -114,7 +123,7 @@ def assign(hypotheses: Sequence[Hypothesis]) -> tuple[list[Hypothesis], dict[int
 
 def _why(member: Hypothesis, rivals: Sequence[Hypothesis]) -> str:
     if any(rival.robot == member.robot and rival.used.isdisjoint(member.used) for rival in rivals):
-        return "it is seen in two places"
+        return TWO_PLACES
     if any(rival.robot == member.robot for rival in rivals):
         return "its LEDs can be told apart in two ways"
     return "its spots may be another robot's"
@@ -162,8 +171,10 @@ def _best_set(group: Sequence[Hypothesis]) -> tuple[list[Hypothesis], float]:
 def systematic_sigma(costs: Floats, sigma_px: float, prior_px: float) -> float:
     """One sigma, px an axis, of what calibration and LED positions are off, learned from fits of six LEDs.
 
-    ``costs`` (m,) are their squared residuals in units of ``sigma_px``; ``prior_px`` counts as one such fit.
+    ``costs`` (m,) are their squared residuals in units of ``sigma_px``; ``prior_px`` counts as one such fit. The
+    median speaks for all: a fit with somebody else's light in it must not make the others look like chance.
     """
-    dof = 6.0
-    squares = float(np.sum(costs)) * sigma_px**2 + dof * prior_px**2
+    dof, median_dof = 6.0, 5.35  # mean and median of chi squared with six degrees of freedom
+    typical = float(np.median(costs)) * dof / median_dof if len(costs) else 0.0
+    squares = len(costs) * typical * sigma_px**2 + dof * prior_px**2
     return max(math.sqrt(squares / (dof * (len(costs) + 1))), 0.02)

@@ -12,7 +12,8 @@ from asterism.server.blobs import Blobs, Ints
 from asterism.server.follow import follow, gates_px, gather_missing
 from asterism.server.plan import MOST_TILT, Plan
 from asterism.server.planar import NO_SOLUTION
-from asterism.server.search import COST, LEDS, ROBOT, SYSTEMATIC_PX, refit_versions, search
+from asterism.server.search import CHI2, COST, LEDS, ROBOT, SYSTEMATIC_PX, refit_versions, search
+from asterism.server.search import HEIGHT as FIT_HEIGHT
 from asterism.server.track import HEIGHT, Tracks, predict
 
 WIDEST_GATE = 0.25  # of a constellation's image; beyond that a prediction is no help
@@ -127,7 +128,7 @@ def _search(
     n_claims, n_pending, _ = search(
         seen.flat, seen.rays, seen.variances, seen.heights, seen.radii, free, plan.layouts, plan.separations, claimed,
         brightness,
-        plan.convex, plan.concave, plan.focal, plan.near, plan.far, MOST_TILT, plan.reach_px,
+        plan.convex, plan.concave, plan.focal, plan.near, plan.far, MOST_TILT, plan.reach_px, 5,
         claims, claim_values, claim_rotations, claim_ts, pending, pending_values, pending_rotations, pending_ts,
     )  # fmt: skip
     sigma = assign.systematic_sigma(claim_values[:n_claims, COST], SYSTEMATIC_PX, PRIOR_SYSTEMATIC_PX)
@@ -138,20 +139,69 @@ def _search(
     disputed: set[int] = set()
     for k in range(n_pending):
         robot = int(pending_values[k, ROBOT])
-        # Spots of a robot that was found beyond doubt are no evidence for another, nor for another place of its own.
-        if known[robot] or taken & set(pending[k].tolist()):
+        # Spots of a robot that was found beyond doubt are no evidence for another, nor for another place of its own,
+        # unless that is much brighter: then the claim may be a mirror image that has caught one of the robot's LEDs.
+        others = taken
+        if robot in claim_of:
+            k_claim = claim_of[robot]
+            if pending_values[k, FIT_HEIGHT] * assign.MIRROR_RATIO > claim_values[k_claim, FIT_HEIGHT]:
+                others = taken - set(claims[k_claim].tolist())
+        if known[robot] or others & set(pending[k].tolist()):
             continue
         hypotheses += _versions(robot, pending[k], sigma, seen, free, plan, wanted)
         if robot in claim_of:
             disputed.add(robot)
-    for robot in disputed:
+    for robot, k in claim_of.items():
+        # With what the other robots' fits have told, a fit may look worse than it did.
+        variance = sigma**2 + float(np.median(seen.variances[claims[k]])) * plan.focal**2
+        if claim_values[k, COST] * SYSTEMATIC_PX**2 > CHI2[LEDS] * variance:
+            disputed.add(robot)
+    for robot in sorted(disputed):
         hypotheses += _versions(robot, claims[claim_of[robot]], sigma, seen, free, plan, wanted)
     chosen, doubts = assign.assign(hypotheses)
     found = [(h.robot, np.array(h.spots), h.rotation, h.t) for h in chosen]
     for robot, k in claim_of.items():
         if robot not in disputed:
             found.append((robot, claims[k], claim_rotations[k], claim_ts[k]))
-    return found, doubts
+    outshone = _outshone(seen, plan, sigma, found)
+    for robot in outshone:
+        doubts[robot] = assign.TWO_PLACES
+    return [entry for entry in found if entry[0] not in outshone], doubts
+
+
+def _outshone(seen: Rays, plan: Plan, sigma_px: float, found: list[Found]) -> set[int]:
+    """The robots of ``found`` that four or more much brighter spots show elsewhere.
+
+    Over a polished floor the mirror image of a robot that lacks LEDs shows more of them than the robot.
+    """
+    n = len(plan.layouts)
+    heights = {robot: float(np.median(seen.heights[spots[spots >= 0]])) for robot, spots, _, _ in found}
+    usable = np.ones(len(seen.rows), np.bool_)
+    for robot, spots, _, _ in found:
+        own = spots[spots >= 0]
+        # A mirror image may have caught one of the robot's own LEDs.
+        usable[own] = seen.heights[own] * assign.MIRROR_RATIO > heights[robot]
+    if not found or (seen.heights[usable] * assign.MIRROR_RATIO > min(heights.values())).sum() < 4:
+        return set()
+    brightness = np.full(n, np.inf)  # nothing is brighter: robots that were not found are of no interest here
+    for robot, height in heights.items():
+        brightness[robot] = height / assign.MIRROR_RATIO**2
+    places = np.empty((MOST_PENDING, LEDS), np.int64)
+    values, rotations, ts = np.empty((MOST_PENDING, 4)), np.empty((MOST_PENDING, 3, 3)), np.empty((MOST_PENDING, 3))
+    nothing, no_values = np.empty((0, LEDS), np.int64), np.empty((0, 4))
+    _, count, _ = search(
+        seen.flat, seen.rays, seen.variances, seen.heights, seen.radii, usable, plan.layouts, plan.separations,
+        np.ones(n, np.bool_), brightness,
+        plan.convex, plan.concave, plan.focal, plan.near, plan.far, MOST_TILT, plan.reach_px, 4,
+        nothing, no_values, rotations[:0], ts[:0], places, values, rotations, ts,
+    )  # fmt: skip
+    outshone = set()
+    for k in range(count):
+        robot = int(values[k, ROBOT])
+        for rival in _versions(robot, places[k], sigma_px, seen, usable, plan, 1):
+            if rival.score > assign.RIVAL and rival.height * assign.MIRROR_RATIO > heights[robot]:
+                outshone.add(robot)
+    return outshone
 
 
 def _versions(

@@ -24,12 +24,12 @@ BRIGHTNESS_RATIO = 0.2  # of the dimmest to the brightest LED of a robot, at lea
 RADIUS_RATIO = 0.4  # of the smallest to the largest
 MIRROR_RATIO = 0.6  # a second explanation of a robot is a mirror image if it is dimmer than this
 SYSTEMATIC_PX = 0.25  # what calibration and LED positions may be off, one sigma
-CHI2_SIX = 22.5  # six degrees of freedom, 99.9 %
-CHI2_FIVE = 18.5  # four degrees of freedom, 99.9 %
+CHI2 = np.array([0.0, 0.0, 0.0, 0.0, 13.8, 18.5, 22.5])  # 99.9 % for two, four and six degrees of freedom
 
 # Columns of a hypothesis beside its six spots (-1: not visible): robot, LEDs seen, cost in squared sigmas of
 # SYSTEMATIC_PX, median height.
 ROBOT, SEEN, COST, HEIGHT = range(4)
+EVEN_HEIGHT = 1.7  # of the median height of a robot's spots: a brighter one among them may be another's
 
 
 @compiled
@@ -232,6 +232,7 @@ def search(
     far,
     most_tilt,
     reach,
+    fewest,
     claims,
     claim_values,
     claim_rotations,
@@ -247,7 +248,8 @@ def search(
     ``heights`` (n,), ``radii`` (n,) px; ``layouts`` (robots, 6, 3) m; ``separations`` (robots,) m, from any other
     robot and any other labelling; ``claimed`` (robots,) and ``brightness`` (robots,) of robots that are known
     already, for which only brighter rivals are of interest. ``convex`` and ``concave`` are the quad table.
-    ``near`` and ``far`` m, ``most_tilt`` the cosine of the largest tilt, ``reach`` px between LEDs of one robot.
+    ``near`` and ``far`` m, ``most_tilt`` the cosine of the largest tilt, ``reach`` px between LEDs of one robot,
+    ``fewest`` LEDs that make a hypothesis.
 
     Fills ``claims`` (m, 6) and its values, rotations and translations (T_camera_plane) with robots found beyond
     doubt, whose spots are then no longer free, and ``pending`` likewise with hypotheses. Returns both counts and the
@@ -370,7 +372,7 @@ def search(
                                 if best >= 0:
                                     labels[led] = best
                                     found += 1
-                            if found < 5:
+                            if found < fewest:
                                 continue
                             count, cost, which = fit_labelled(
                                 layout,
@@ -386,7 +388,7 @@ def search(
                                 ts,
                                 scratch_h,
                             )
-                            if which >= 0 and count == LEDS and cost > CHI2_SIX:
+                            if which >= 0 and count == LEDS and cost > CHI2[LEDS]:
                                 # One of the six may be somebody else's light: leave out the worst.
                                 worst, worst_led = 0.0, 0
                                 for led in range(LEDS):
@@ -410,7 +412,7 @@ def search(
                                     scratch_h,
                                 )
                                 labels[:] = trial
-                            if which < 0 or cost > (CHI2_SIX if count == LEDS else CHI2_FIVE):
+                            if which < 0 or cost > CHI2[count]:
                                 continue
                             depth_m = ts[which, 2]
                             if not 0.8 * near <= depth_m <= 1.25 * far:
@@ -421,6 +423,9 @@ def search(
                             # Residual norm, m, at the robot: far below the separation no other robot fits as well.
                             residual = math.sqrt(cost * systematic2) * depth_m
                             certain = count == LEDS and 3.0 * residual <= separations[robot] and not claimed[robot]
+                            for led in range(LEDS):
+                                if labels[led] >= 0:
+                                    certain &= heights[labels[led]] < EVEN_HEIGHT * height
                             if certain:
                                 if n_claims == claims.shape[0]:
                                     continue

@@ -26,6 +26,7 @@ ITERATIONS = 12
 FEW = 3  # iterations, after which a second minimum that costs more than the first by HOPELESS is good enough
 HOPELESS = 80.0  # squared sigmas: odds of e^40
 ODD = 10.0  # how many times worse six LEDs fit than five before the sixth is left out
+CLEARLY_OFF = 3.0  # times the surprising cost: if five LEDs then fit without surprise, the sixth is left out as well
 LEAST_SIGMA_PX = 0.001  # no centre is known better than this
 # 99.9 % of chi squared for 2, 4 and 6 degrees of freedom: beyond it the spots' noise is not the whole story.
 _SURPRISE = np.array([0.0, 0.0, 0.0, 0.0, 13.8, 18.5, 22.5])
@@ -129,6 +130,7 @@ def _odd_led(layout, spots, rays, ray_covariances, start_rotation, start_t, foca
     points, seen, information = np.empty((LEDS, 3)), np.empty((LEDS, 2)), np.empty((LEDS, 3))
     centre, rotation, t = np.empty(3), np.empty((3, 3)), np.empty(3)
     trial = np.empty(LEDS, np.int64)
+    both, both_t, both_costs = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty(2)
     best_led, best_cost, whole_cost = -1, NO_SOLUTION, NO_SOLUTION
     for without in range(-1, LEDS):
         trial[:] = spots
@@ -152,10 +154,17 @@ def _odd_led(layout, spots, rays, ray_covariances, start_rotation, start_t, foca
                         start_t[i] -= rotation[i, j] * centre[j]
                 return -1
             whole_cost = cost
+        # The start may be the wrong tilt, which the odd spot made the better one.
+        solve_both(points[:count], seen[:count], information[:count], ITERATIONS, True, both, both_t, both_costs)
+        cost = min(cost, both_costs[0], both_costs[1])
+        if without < 0:
+            whole_cost = cost
         elif cost < best_cost:
             best_led, best_cost = without, cost
     # Compared per degree of freedom: six LEDs leave six, five leave four.
-    return best_led if ODD * best_cost / 4.0 < whole_cost / 6.0 else -1
+    much_worse = ODD * best_cost / 4.0 < whole_cost / 6.0
+    only_one_off = best_cost <= _SURPRISE[LEDS - 1] and whole_cost > CLEARLY_OFF * _SURPRISE[LEDS]
+    return best_led if much_worse or only_one_off else -1
 
 
 @compiled
