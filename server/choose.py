@@ -11,7 +11,7 @@ import numpy as np
 from asterism.server.compiled import compiled
 from asterism.server.planar import NO_SOLUTION
 from asterism.server.rotations import product_into, quat_into
-from asterism.server.search import median_height
+from asterism.server.search import median_of
 from asterism.server.solve import move_origin, turn_axes
 from asterism.server.track import EVIDENCE, HAS_OTHER, TURN_SIGMA, follow_track, is_fresh, tilt_cost
 
@@ -109,6 +109,6 @@ def choose(
         follow_track(
             seen_ns, track_rotations, track_ts, velocities, turns, other_rotations, numbers,
             robot, exposed_ns, rotations[k, chosen], ts[k, chosen], covariances[k, chosen],
-            median_height(heights, assignment[k]),
+            median_of(heights, assignment[k]),
             rotations[k, other], has_other, evidence,
         )  # fmt: skip

@@ -12,7 +12,7 @@ from asterism.server.blobs import Blobs, Ints
 from asterism.server.follow import follow, gates_px, gather_missing
 from asterism.server.plan import MOST_TILT, Plan
 from asterism.server.planar import NO_SOLUTION
-from asterism.server.search import CHI2, COST, LEDS, ROBOT, SYSTEMATIC_PX, refit_versions, search
+from asterism.server.search import CHI2, COST, LEDS, ROBOT, SYSTEMATIC_PX, median_of, refit_versions, search
 from asterism.server.search import HEIGHT as FIT_HEIGHT
 from asterism.server.track import HEIGHT, Tracks, predict
 
@@ -153,7 +153,7 @@ def _search(
             disputed.add(robot)
     for robot, k in claim_of.items():
         # With what the other robots' fits have told, a fit may look worse than it did.
-        variance = sigma**2 + float(np.median(seen.variances[claims[k]])) * plan.focal**2
+        variance = sigma**2 + float(median_of(seen.variances, claims[k])) * plan.focal**2
         if claim_values[k, COST] * SYSTEMATIC_PX**2 > CHI2[LEDS] * variance:
             disputed.add(robot)
     for robot in sorted(disputed):
@@ -175,7 +175,7 @@ def _outshone(seen: Rays, plan: Plan, sigma_px: float, found: list[Found]) -> se
     Over a polished floor the mirror image of a robot that lacks LEDs shows more of them than the robot.
     """
     n = len(plan.layouts)
-    heights = {robot: float(np.median(seen.heights[spots[spots >= 0]])) for robot, spots, _, _ in found}
+    heights = {robot: float(median_of(seen.heights, spots)) for robot, spots, _, _ in found}
     usable = np.ones(len(seen.rows), np.bool_)
     for robot, spots, _, _ in found:
         own = spots[spots >= 0]

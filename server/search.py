@@ -198,17 +198,17 @@ def _misfit(layout, led, rotation, t, ray):
 
 
 @compiled
-def median_height(heights, spots):
-    """Median height of the spots that are visible."""
+def median_of(numbers, spots):
+    """Median of the numbers (n,) of a robot's visible spots."""
     values = np.empty(LEDS)
     count = 0
     for led in range(LEDS):
         if spots[led] >= 0:
             k = count
-            while k > 0 and values[k - 1] > heights[spots[led]]:
+            while k > 0 and values[k - 1] > numbers[spots[led]]:
                 values[k] = values[k - 1]
                 k -= 1
-            values[k] = heights[spots[led]]
+            values[k] = numbers[spots[led]]
             count += 1
     return 0.5 * (values[(count - 1) // 2] + values[count // 2])
 
@@ -417,7 +417,7 @@ def search(
                             depth_m = ts[which, 2]
                             if not 0.8 * near <= depth_m <= 1.25 * far:
                                 continue
-                            height = median_height(heights, labels)
+                            height = median_of(heights, labels)
                             if claimed[robot] and height < MIRROR_RATIO * brightness[robot]:
                                 continue
                             # Residual norm, m, at the robot: far below the separation no other robot fits as well.
