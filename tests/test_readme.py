@@ -33,7 +33,8 @@ def test_it_shows_commands() -> None:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_its_commands_are_commands(command: str) -> None:
-    _parser().parse_args(shlex.split(command)[1:])
+    words = shlex.split(command)
+    assert _parser().parse_args(words[1:]).command == words[1]
 
 
 def test_its_make_words_are_in_the_makefile() -> None:
