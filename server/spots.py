@@ -14,6 +14,7 @@ from asterism.protocol.messages import Fate
 from asterism.server.background import interpolate
 from asterism.server.compiled import compiled, compiled_sums
 from asterism.server.components import AREA, PEAK, X0, X1, Y0, Y1
+from asterism.server.watershed import keep_group, watershed
 
 # Columns of the spot table: centre, semi-axes and angle of the ellipse (px, rad), height above the local background,
 # the background's level at the centre and its slopes (grey levels, per px), its noise, the share of the spot's
@@ -60,7 +61,6 @@ LARGEST_COMPONENT_PX = 40_000  # beyond that a component is a patch of glare: no
 SMALLEST_AREA_PX = 3
 LARGEST_ASPECT = 2.6  # a disc seen at 65 degrees
 PEAK_SHARE = 0.55  # a single pixel with more of a spot's light than this is a hot pixel: no lens is that sharp
-PROMINENCE = 0.12  # a peak that stands out less, as a share of its height, belongs to its neighbour
 CLIP = (0.12, 0.7)  # the part of a spot's profile that its shape is taken from
 BLUR_PX2 = 0.92  # what blur (sigma 0.7 px) and pixels add to the second moments of the clipped profile, times four
 CLIP_SIGMAS = 2.5  # and never so low that noise all over the window counts
@@ -126,90 +126,6 @@ def _ring_background(image, x0, x1, y0, y1, guess, noise, rise):
         level, slope_x, slope_y = a, b, c
         fitted = True
     return level, slope_x, slope_y, fitted
-
-
-@compiled
-def watershed(image, thresholds_row, x0, x1, y0, y1, base, noise, labels, regions):
-    """Split the pixels above the seed threshold in a window into regions, one for every prominent peak.
-
-    ``labels`` (cells,) int32 is filled with region numbers (-1 outside); ``regions`` (capacity, 4) float64 with
-    peak, the level at which it meets a higher one (its saddle; -1 if it never does), the region it was joined to
-    (itself if it stands alone), and the higher region it met (itself if none). Returns the number of regions, joined
-    ones included.
-    """
-    width, height = x1 - x0, y1 - y0
-    cells = width * height
-    counts = np.zeros(257, np.int32)
-    for y in range(height):
-        limit = thresholds_row[(y + y0) // 8]
-        for x in range(width):
-            labels[y * width + x] = -1
-            value = image[y + y0, x + x0]
-            if value > limit[x + x0]:
-                counts[255 - value + 1] += 1
-    for k in range(256):
-        counts[k + 1] += counts[k]
-    order = np.empty(max(counts[256], 1), np.int32)
-    total = counts[256]
-    for y in range(height):
-        limit = thresholds_row[(y + y0) // 8]
-        for x in range(width):
-            value = image[y + y0, x + x0]
-            if value > limit[x + x0]:
-                order[counts[255 - value]] = y * width + x
-                counts[255 - value] += 1
-    count = 0
-    for k in range(total):
-        cell = order[k]
-        cy, cx = cell // width, cell % width
-        value = float(image[cy + y0, cx + x0])
-        best = -1
-        best_value = -1.0
-        # First the brightest neighbour's region, then judge every other region that meets it here.
-        for ny in range(max(cy - 1, 0), min(cy + 2, height)):
-            for nx in range(max(cx - 1, 0), min(cx + 2, width)):
-                label = labels[ny * width + nx]
-                if label >= 0 and image[ny + y0, nx + x0] > best_value:
-                    best = label
-                    best_value = float(image[ny + y0, nx + x0])
-        if best < 0:
-            if count == regions.shape[0]:
-                continue
-            regions[count, 0], regions[count, 1] = value, -1.0
-            regions[count, 2] = regions[count, 3] = count
-            labels[cell] = count
-            count += 1
-            continue
-        mine = best
-        while int(regions[mine, 2]) != mine:
-            mine = int(regions[mine, 2])
-        for ny in range(max(cy - 1, 0), min(cy + 2, height)):
-            for nx in range(max(cx - 1, 0), min(cx + 2, width)):
-                other = labels[ny * width + nx]
-                if other < 0:
-                    continue
-                while int(regions[other, 2]) != other:
-                    other = int(regions[other, 2])
-                if other == mine:
-                    continue
-                low, high = max(other, mine), min(other, mine)  # regions are made in descending order of peak
-                if regions[low, 1] >= 0.0:
-                    continue  # judged before
-                rise = regions[low, 0] - base
-                if regions[low, 0] - value >= max(4.0 * noise, 3.0, PROMINENCE * rise):
-                    regions[low, 1] = value
-                    regions[low, 3] = high
-                else:
-                    regions[low, 2] = high
-                    mine = high if mine == low else mine
-        labels[cell] = mine
-    for cell in range(cells):
-        label = labels[cell]
-        if label >= 0:
-            while int(regions[label, 2]) != label:
-                label = int(regions[label, 2])
-            labels[cell] = label
-    return count
 
 
 @compiled
@@ -447,40 +363,11 @@ def measure_spots(image, thresholds, table, n_components, level, noise, sigmas, 
         if labels.shape[0] < cells:
             labels = np.empty(cells, np.int32)
         n_regions = watershed(image, thresholds, wx0, wx1, wy0, wy1, base, rough, labels, regions)
-        _keep_group(labels[:cells], regions, n_regions, component)
+        keep_group(labels[:cells], regions, n_regions, component)
         count = _measure_regions(
             image, labels, regions, n_regions, spot.copy(), faintest, largest_radius, spots, count, pixels
         )
     return count
-
-
-@compiled
-def _top(regions, region):
-    """The highest region of the connected group that a region belongs to."""
-    while True:
-        above = int(regions[region, 2])
-        if above == region:
-            above = int(regions[region, 3])
-        if above == region:
-            return region
-        region = above
-
-
-@compiled
-def _keep_group(labels, regions, n_regions, component):
-    """Mark (-2) the pixels of other components that reach into the window; they are measured on their own."""
-    sizes = np.zeros(n_regions, np.int64)
-    for label in labels:
-        if label >= 0:
-            sizes[_top(regions, label)] += 1
-    mine = -1
-    for region in range(n_regions):
-        if sizes[region] == component[AREA] and regions[region, 0] == component[PEAK]:
-            mine = region
-            break
-    for cell in range(labels.shape[0]):
-        if labels[cell] >= 0 and _top(regions, labels[cell]) != mine:
-            labels[cell] = -2
 
 
 @compiled
