@@ -1,9 +1,9 @@
 """Global assignment: of all hypotheses about who is where, the set that explains the frame best, or nothing.
 
 Every hypothesis (a robot, its spots, a pose that fits them) has a score: the logarithm of how much likelier its
-spots are as this robot's LEDs than as chance. Hypotheses that share a robot or a spot exclude each other; the set with
-the largest sum wins. A member of it is claimed only if it beats chance and the best explanation without it by a
-margin; otherwise the robots concerned are ambiguous. Nothing is guessed.
+spots are as this robot's LEDs than as chance (`evidence`). Hypotheses that share a robot or a spot exclude each
+other; the set with the largest sum wins. A member of it is claimed only if it beats chance and the best explanation
+without it by a margin; otherwise the robots concerned are ambiguous. Nothing is guessed.
 """
 
 import math
@@ -18,13 +18,7 @@ BEYOND_CHANCE = 12.0  # the least score, in nats: one false claim in 160 000 pla
 TWO_PLACES = "it is seen in two places"
 RIVAL = 4.0  # score of a brighter place of the same robot, from which on the dimmer one is not claimed
 MARGIN = 7.0  # over the best explanation without it, in nats: odds of 1000
-HIDDEN = math.log(10.0)  # what a hidden LED costs: one in ten is
 MIRROR_RATIO = 0.6  # of two explanations of one robot the dimmer is a mirror image if it is dimmer than this
-HEIGHT_SPREAD, LIKE_HEIGHTS = (
-    0.3,
-    2.5 / 0.4,
-)  # LEDs of one robot: one sigma of the logarithm; range of chance spots
-RADIUS_SPREAD, LIKE_RADII = 0.2, 4.0
 LARGEST_GROUP = 14  # rivals that are judged together; the weakest beyond that are left out
 
 
@@ -43,39 +37,6 @@ class Hypothesis:
     def used(self) -> frozenset[int]:
         """The spots it claims."""
         return frozenset(spot for spot in self.spots if spot >= 0)
-
-
-def score(
-    chi2: float,
-    variances_px2: Floats,
-    heights: Floats,
-    radii_px: Floats,
-    around: int,
-    area_px2: float,
-    robots: int,
-) -> float:
-    """Logarithm of the odds that a fit is no chance, in nats.
-
-    The robot's visible spots, with ``variances_px2``, ``heights`` and ``radii_px`` (k,), fit with ``chi2``;
-    ``around`` spots of like brightness lie in ``area_px2``; ``robots`` are still sought. Three spots are spent on
-    the pose; every further one lands within its variance of its place by chance with probability 2 pi sigma^2 times
-    the density of spots. LEDs of one robot are alike, chance spots are not. The number of ways to try (robots,
-    labels, triples of spots) counts against it.
-    """
-    seen = len(heights)
-    density = max(around, seen) / area_px2
-    gain = -float(np.mean(np.log(2.0 * math.pi * variances_px2 * density)))
-    tries = max(robots, 1) * 120 * math.comb(max(around, seen), 3)
-    alike = _alike(heights, HEIGHT_SPREAD, LIKE_HEIGHTS) + _alike(radii_px, RADIUS_SPREAD, LIKE_RADII)
-    return (seen - 3) * gain - 0.5 * chi2 - (6 - seen) * HIDDEN - math.log(tries) + alike
-
-
-def _alike(values: Floats, spread: float, by_chance: float) -> float:
-    """Evidence, in nats, that values are those of equal LEDs (log-normal), not spread evenly over ``by_chance``."""
-    off = np.log(values / np.median(values)) / spread
-    each = math.log(math.log(by_chance) / (spread * math.sqrt(2.0 * math.pi))) - 0.5 * off * off
-    # One of them sets the level and says nothing; one odd LED may cost its robot only so much.
-    return float(np.sum(np.maximum(each, -3.0))) * (1.0 - 1.0 / len(values))
 
 
 def _same(a: Hypothesis, b: Hypothesis) -> bool:

@@ -9,9 +9,9 @@ import math
 import numpy as np
 
 from asterism.server.compiled import compiled
+from asterism.server.fit import median_of
 from asterism.server.planar import NO_SOLUTION
 from asterism.server.rotations import product_into, quat_into
-from asterism.server.search import median_of
 from asterism.server.solve import move_origin, turn_axes
 from asterism.server.track import EVIDENCE, HAS_OTHER, TURN_SIGMA, follow_track, is_fresh, tilt_cost
 

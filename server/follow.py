@@ -9,8 +9,8 @@ import numpy as np
 
 from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
+from asterism.server.fit import LEDS, SYSTEMATIC_PX
 from asterism.server.planar import NO_SOLUTION, refine_pose
-from asterism.server.search import LEDS, SYSTEMATIC_PX
 
 LEAST_LEDS = 4
 BRIGHTNESS_STEP = 2.5  # a LED is not that much brighter or dimmer than it was a frame ago

@@ -9,11 +9,11 @@ from asterism.protocol.rig import Rig
 from asterism.server.blobs import Blobs, find_blobs
 from asterism.server.centre import refine_leaning
 from asterism.server.choose import choose
+from asterism.server.fit import LEDS
 from asterism.server.frame import Frame, FrameResult
 from asterism.server.identify import Matches, Rays, identify, rays_of
 from asterism.server.lens import undistort
 from asterism.server.plan import Plan, plan_for
-from asterism.server.search import LEDS
 from asterism.server.solve import Alternative, Lost, PoseEstimate, solve_robots
 from asterism.server.track import Tracks
 

@@ -43,14 +43,14 @@ class Plan:
         for confusion in confusions([robot.leds_plane[:, :2] for robot in rig.robots]):
             for robot in (confusion.seen, confusion.taken):
                 self.separations[robot] = min(self.separations[robot], confusion.separation)
-        table = QuadTable(self.layouts)
-        self.convex, self.concave = table.convex, table.concave
+        self.quads = QuadTable(self.layouts)
         self.near, self.far = rig.range_m or self._range()
         self.reach_px = 1.2 * float(self.extents.max()) * self.focal / self.near
         self.masks: Ints = np.array(rig.masks, np.int64).reshape(-1, 4)
-        radii = [robot.led_radius for robot in rig.robots]
-        if all(radius is not None for radius in radii) and rig.range_m is not None:
-            largest = max(radius for radius in radii if radius is not None)
+        # nan where the rig does not say how large the LEDs are
+        self.led_radii = np.array([robot.led_radius or math.nan for robot in rig.robots])
+        largest = float(self.led_radii.max())
+        if math.isfinite(largest) and rig.range_m is not None:
             self.largest_radius_px = LED_MARGIN * largest * self.focal / self.near + 2.0
         else:
             self.largest_radius_px = LARGEST_SPOT * math.hypot(camera.width, camera.height)

@@ -7,15 +7,18 @@ Points are given in a right-handed plane (x right, y up), and orientation counts
 """
 
 import itertools
+import math
+from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
 
 CELLS = 40  # along each invariant
 TOLERANCE = 0.05  # how far perspective may move an invariant (extent / distance up to 0.2)
+NEGLECTED, LEAST_SLACK = 0.3, 0.004  # what `look_up` neglects: of the movement, and at all
+SMALLEST_QUAD_PX2 = 30.0  # twice the area: smaller ones say nothing
 
 
 @compiled
@@ -77,55 +80,139 @@ def invariants(points, order, values):
     return 0, abs(det)
 
 
+# Columns of an entry's numbers: its invariants (2), the inverse (4, row by row) of the matrix whose columns lead from
+# its first to its second and third LED (m), what two depth differences are taken between (2 + 2, m), and their weights
+# (2); see `look_up`.
+NUMBERS = 12
+
+
+@compiled
+def look_up(
+    flat, i, j, k, m, numbers, starts, held, slack_px, least_scale, most_scale, most_tilt, focal, four, order, values,
+    matches,
+):  # fmt: skip
+    """Which entries of the table the spots ``i``, ``j``, ``k`` and ``m`` of ``flat`` (n, 2; ideal px, y up) may be:
+    seen at a scale from ``least_scale`` to ``most_scale`` px / m, tilted by no more than the angle with cosine
+    ``most_tilt``, not mirrored, and with invariants that differ from the entry's as the tilt demands.
+
+    ``numbers``, ``starts`` and ``held`` are those of `QuadTable`; spots may be ``slack_px`` off; ``focal`` is in px.
+    Fills ``matches`` (m,) with entries and ``order`` (4,) with the order of the spots that belongs to them, and returns
+    how many there are.
+
+    Three spots give the weak perspective: its singular values are focal / depth and that times the cosine of the
+    tilt; the gradient g of the relative depth over the plate lies along the second singular vector, up to its sign. In
+    perspective a point's weight in a sum is multiplied by its relative depth, so the crossing fraction s of a
+    diagonal d moves by s (1 - s) g d, and a barycentric coordinate w by w g (corner - inner point).
+    """
+    four[0, 0], four[0, 1], four[1, 0], four[1, 1] = flat[i, 0], flat[i, 1], flat[j, 0], flat[j, 1]
+    four[2, 0], four[2, 1], four[3, 0], four[3, 1] = flat[k, 0], flat[k, 1], flat[m, 0], flat[m, 1]
+    kind, area = invariants(four, order, values)
+    if kind < 0 or area < SMALLEST_QUAD_PX2:
+        return 0
+    s, t = values[0], values[1]
+    row, column = int(s * CELLS), int(t * CELLS)
+    if not (0 <= row < CELLS and 0 <= column < CELLS):
+        return 0
+    ax, ay = four[order[0], 0], four[order[0], 1]
+    px, py = four[order[1], 0] - ax, four[order[1], 1] - ay
+    qx, qy = four[order[2], 0] - ax, four[order[2], 1] - ay
+    # The flatter the quad, the more its invariants suffer from what spots are off.
+    slack = LEAST_SLACK + 1.5 * slack_px * math.sqrt(max(px * px + py * py, qx * qx + qy * qy)) / area
+    least2, most2, per_focal2, wide2 = least_scale**2, most_scale**2, 1.0 / focal**2, (1.0 + NEGLECTED) ** 2
+    cell = (kind * CELLS + row) * CELLS + column
+    count = 0
+    for place in range(starts[cell], starts[cell + 1]):
+        entry = held[place]
+        off0, off1 = s - numbers[entry, 0], t - numbers[entry, 1]
+        if abs(off0) > TOLERANCE or abs(off1) > TOLERANCE:
+            continue
+        g00 = px * numbers[entry, 2] + qx * numbers[entry, 4]
+        g01 = px * numbers[entry, 3] + qx * numbers[entry, 5]
+        g10 = py * numbers[entry, 2] + qy * numbers[entry, 4]
+        g11 = py * numbers[entry, 3] + qy * numbers[entry, 5]
+        size = g00 * g11 - g01 * g10
+        m00, m01, m11 = g00 * g00 + g10 * g10, g00 * g01 + g10 * g11, g01 * g01 + g11 * g11
+        both = m00 + m11
+        if size <= 0.0 or both < least2 or both > 2.0 * most2:
+            continue
+        large2 = 0.5 * (both + math.sqrt(max(both * both - 4.0 * size * size, 0.0)))
+        if large2 < least2 or large2 > most2 or size < 0.8 * most_tilt * large2:
+            continue
+        # n = focal^2 g g^T: what the image of an untilted plate has more.
+        n00, n01, n11 = large2 - m00, -m01, large2 - m11
+        d0x, d0y, d1x, d1y = numbers[entry, 6], numbers[entry, 7], numbers[entry, 8], numbers[entry, 9]
+        # The squares of the movements, their product, and whether the invariants have moved so, either way.
+        q0 = per_focal2 * numbers[entry, 10] ** 2 * (n00 * d0x * d0x + 2.0 * n01 * d0x * d0y + n11 * d0y * d0y)
+        q1 = per_focal2 * numbers[entry, 11] ** 2 * (n00 * d1x * d1x + 2.0 * n01 * d1x * d1y + n11 * d1y * d1y)
+        far0, far1 = max(abs(off0) - slack, 0.0), max(abs(off1) - slack, 0.0)
+        if far0 * far0 > wide2 * q0 or far1 * far1 > wide2 * q1:
+            continue
+        moved0, moved1 = math.sqrt(max(q0, 0.0)), math.sqrt(max(q1, 0.0))
+        slack0, slack1 = slack + NEGLECTED * moved0, slack + NEGLECTED * moved1
+        if n00 * d0x * d1x + n01 * (d0x * d1y + d0y * d1x) + n11 * d0y * d1y < 0.0:
+            moved1 = -moved1
+        if count < matches.shape[0] and (
+            (abs(off0 - moved0) <= slack0 and abs(off1 - moved1) <= slack1)
+            or (abs(off0 + moved0) <= slack0 and abs(off1 + moved1) <= slack1)
+        ):
+            matches[count] = entry
+            count += 1
+    return count
+
+
 class QuadTable:
-    """For both kinds: entries (robot, four LEDs), their invariants, and which entries each cell holds (CSR)."""
+    """Entries (robot, four LEDs), first the convex, then the concave, and which of them each cell holds (CSR).
+
+    ``entries`` (n, 5), their ``numbers`` (n, 12), where the list of every cell ``starts`` (2 CELLS^2 + 1,), and the
+    lists that are ``held``.
+    """
 
     def __init__(self, layouts: Floats) -> None:
         """``layouts`` (robots, 6, 2 or 3): the LEDs in their planes."""
-        entries: tuple[list[list[int]], list[list[int]]] = ([], [])
-        values: tuple[list[tuple[float, float]], list[tuple[float, float]]] = ([], [])
+        entries: list[list[int]] = []
+        numbers: list[Floats] = []
+        held: list[list[int]] = [[] for _ in range(2 * CELLS * CELLS)]
         order, pair = np.empty(4, np.int64), np.empty(2)
-        for robot, layout in enumerate(layouts):
+        for robot, layout in enumerate(layouts[:, :, :2]):
             for leds in itertools.combinations(range(layout.shape[0]), 4):
-                kind, _ = invariants(np.ascontiguousarray(layout[list(leds), :2]), order, pair)
+                kind, _ = invariants(np.ascontiguousarray(layout[list(leds)]), order, pair)
                 if kind < 0:
                     continue
                 ring = [leds[k] for k in order]
-                if kind == 0:
-                    s, t = float(pair[0]), float(pair[1])
-                    for _ in range(4):
-                        entries[0].append([robot, *ring])
-                        values[0].append((s, t))
-                        ring = ring[1:] + ring[:1]
-                        s, t = t, 1.0 - s
-                else:
-                    hull, weights = ring[:3], [float(pair[0]), float(pair[1]), 1.0 - float(pair[0] + pair[1])]
-                    for _ in range(3):
-                        entries[1].append([robot, *hull, ring[3]])
-                        values[1].append((weights[0], weights[1]))
-                        hull, weights = hull[1:] + hull[:1], weights[1:] + weights[:1]
-        self.convex = _cells(entries[0], values[0])
-        self.concave = _cells(entries[1], values[1])
+                for turned, s, t in _turns(kind, ring, float(pair[0]), float(pair[1])):
+                    for i in range(_cell(s - TOLERANCE), _cell(s + TOLERANCE) + 1):
+                        for j in range(_cell(t - TOLERANCE), _cell(t + TOLERANCE) + 1):
+                            held[(kind * CELLS + i) * CELLS + j].append(len(entries))
+                    entries.append([robot, *turned])
+                    numbers.append(_numbers(kind, layout[turned], s, t))
+        starts = np.zeros(len(held) + 1, np.int32)
+        starts[1:] = np.cumsum([len(cell) for cell in held])
+        self.entries = np.array(entries, np.int32).reshape(-1, 5)
+        self.numbers = np.array(numbers).reshape(-1, NUMBERS)
+        self.starts = starts
+        self.held = np.array([entry for cell in held for entry in cell], np.int32)
 
 
-Cells = tuple[NDArray[np.int32], Floats, NDArray[np.int32], NDArray[np.int32]]
+def _turns(kind: int, ring: list[int], s: float, t: float) -> Iterator[tuple[list[int], float, float]]:
+    """The same four in every order that `invariants` may give them, with their invariants."""
+    if kind == 0:
+        for _ in range(4):
+            yield ring, s, t
+            ring, s, t = ring[1:] + ring[:1], t, 1.0 - s
+    else:
+        hull, weights = ring[:3], [s, t, 1.0 - (s + t)]
+        for _ in range(3):
+            yield [*hull, ring[3]], weights[0], weights[1]
+            hull, weights = hull[1:] + hull[:1], weights[1:] + weights[:1]
 
 
-def _cells(entries: list[list[int]], values: list[tuple[float, float]]) -> Cells:
-    """Entries (n, 5), values (n, 2), and for every cell where its list of entries begins, and the lists."""
-    held: list[list[int]] = [[] for _ in range(CELLS * CELLS)]
-    for number, (a, b) in enumerate(values):
-        for i in range(_cell(a - TOLERANCE), _cell(a + TOLERANCE) + 1):
-            for j in range(_cell(b - TOLERANCE), _cell(b + TOLERANCE) + 1):
-                held[i * CELLS + j].append(number)
-    starts = np.zeros(CELLS * CELLS + 1, np.int32)
-    starts[1:] = np.cumsum([len(numbers) for numbers in held])
-    return (
-        np.array(entries, np.int32).reshape(-1, 5),
-        np.array(values, np.float64).reshape(-1, 2),
-        starts,
-        np.array([number for numbers in held for number in numbers], np.int32),
-    )
+def _numbers(kind: int, points: Floats, s: float, t: float) -> Floats:
+    """A row of the table's numbers for four LEDs (4, 2) with invariants ``s`` and ``t``."""
+    a, b, c, d = points
+    inverse = np.linalg.pinv(np.column_stack([b - a, c - a])).ravel()
+    if kind == 0:
+        return np.concatenate([[s, t], inverse, c - a, d - b, [s * (1.0 - s), t * (1.0 - t)]])
+    return np.concatenate([[s, t], inverse, a - d, b - d, [s, t]])
 
 
 def _cell(value: float) -> int:

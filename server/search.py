@@ -1,77 +1,157 @@
 """Cold search: which spots are which robot's LEDs, without any idea where the robots are.
 
-Every spot in turn, brightest first, is combined with three of its nearest neighbours; the quad table says which robots
-and labels the four can be; the exact homography of the four predicts the other two LEDs; a calibrated pose of the
-five or six decides. Six LEDs that fit, of a robot that cannot be mistaken at that residual, are claimed at once; all
-else is a hypothesis that `assign` judges together with its rivals.
+Every spot in turn, brightest first, is combined with three dimmer ones among its nearest; the quad table says which
+robots and labels the four can be; the weak perspective of three of them says how far the invariants must have moved;
+the exact homography of the four predicts the other two LEDs; a calibrated pose of the five or six decides. Six LEDs
+that fit, of a robot that cannot be mistaken at that residual, are claimed at once; all else is a hypothesis that
+`assign` judges together with its rivals.
+
+First only spots that are much alike are combined, as the LEDs of one robot are; then, for robots still missing, spots
+that are less alike, and more of them, as far as a number of quads that grows with the number of spots allows.
 """
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
-from asterism.server.planar import NO_SOLUTION, homography_ls, refine_pose, translation, two_rotations
-from asterism.server.quads import CELLS, TOLERANCE, invariants
+from asterism.server.evidence import is_alone
+from asterism.server.fit import CHI2, LEDS, SYSTEMATIC_PX, fit_labelled, median_of, misfit
+from asterism.server.neighbours import first_from, nearest_neighbours
+from asterism.server.plan import MOST_TILT, Plan
+from asterism.server.quads import look_up
 
-LEDS = 6
-NEIGHBOURS = 24
-DEPTHS = (8, 14, 24)  # nearest neighbours that are combined, in passes
-MOST_QUADS = 400_000  # a frame; beyond that only the nearer combinations were tried
-SMALLEST_QUAD_PX2 = 30.0  # twice the area: smaller ones say nothing
-REACH_PX = 3.0  # how far a LED may lie from where the homography of four puts it
-BRIGHTNESS_RATIO = 0.2  # of the dimmest to the brightest LED of a robot, at least
-RADIUS_RATIO = 0.4  # of the smallest to the largest
+Ints = NDArray[np.int64]
+
+# Passes: least ratio of heights and of radii, nearest neighbours that are combined.
+ALIKE_HEIGHT, ALIKE_RADIUS, ALIKE_DEPTH = 0.5, 0.6, 10
+HEIGHT_RATIO, RADIUS_RATIO = 0.2, 0.4
+DEPTHS = (8, 14, 24)
+MOST_QUADS = 25  # for every spot; beyond that only the nearer combinations were tried
+REACH_PX = 3.0  # how far an LED may lie from where the homography of four puts it
+SPOT_ERROR_PX = 0.2  # what a spot may be off while its quad is looked up
 MIRROR_RATIO = 0.6  # a second explanation of a robot is a mirror image if it is dimmer than this
-SYSTEMATIC_PX = 0.25  # what calibration and LED positions may be off, one sigma
-CHI2 = np.array([0.0, 0.0, 0.0, 0.0, 13.8, 18.5, 22.5])  # 99.9 % for two, four and six degrees of freedom
+EVEN_HEIGHT = 1.7  # of the median height of a robot's spots: a brighter one among them may be another's
+
+MOST_CLAIMS, MOST_PENDING = 256, 1024
 
 # Columns of a hypothesis beside its six spots (-1: not visible): robot, LEDs seen, cost in squared sigmas of
 # SYSTEMATIC_PX, median height.
 ROBOT, SEEN, COST, HEIGHT = range(4)
-EVEN_HEIGHT = 1.7  # of the median height of a robot's spots: a brighter one among them may be another's
+
+Found = tuple[int, Ints, Floats, Floats]  # robot, spots, rotation (3, 3) and translation (3,) of T_camera_plane
+
+
+class Spots(NamedTuple):
+    """What is searched. ``flat`` (n, 2) ideal px, y up; ``rays`` (n, 2) the same as x / z, y / z (y down);
+    ``variances`` (n,) of the rays; ``heights`` (n,); ``radii`` (n,) px; ``free`` (n,): not yet a robot's.
+    """
+
+    flat: Floats
+    rays: Floats
+    variances: Floats
+    heights: Floats
+    radii: Floats
+    free: Any
+
+
+class Sought(NamedTuple):
+    """Whom to look for. ``layouts`` (robots, 6, 3) m; ``separations`` (robots,) m, from any other robot and any other
+    labelling; ``claimed`` (robots,) and ``brightness`` (robots,) of robots that are known already, for which only
+    brighter rivals are of interest; the rest is the `QuadTable`'s.
+    """
+
+    layouts: Floats
+    separations: Floats
+    claimed: Any
+    brightness: Floats
+    entries: Any
+    numbers: Floats
+    starts: Any
+    held: Any
+
+
+class Limits(NamedTuple):
+    """``focal`` px; ``near`` and ``far`` m; ``most_tilt``: the cosine of the largest tilt; ``reach`` px between LEDs of
+    one robot; ``fewest`` LEDs that make a hypothesis; ``alone``: four spots are to make one, all that they may be, but
+    only where they stand apart from all others like them.
+    """
+
+    focal: float
+    near: float
+    far: float
+    most_tilt: float
+    reach: float
+    fewest: int
+    alone: bool
+
+
+class Fits(NamedTuple):
+    """Room for hypotheses: ``spots`` (m, 6), ``values`` (m, 4), ``rotations`` (m, 3, 3), ``ts`` (m, 3) of
+    T_camera_plane; ``filled`` (1,) how many there are.
+    """
+
+    spots: Ints
+    values: Floats
+    rotations: Floats
+    ts: Floats
+    filled: Ints
+
+    @staticmethod
+    def room(most: int) -> "Fits":
+        """Room for so many."""
+        return Fits(
+            np.empty((most, LEDS), np.int64),
+            np.empty((most, 4)),
+            np.empty((most, 3, 3)),
+            np.empty((most, 3)),
+            np.zeros(1, np.int64),
+        )
+
+    def held(self) -> "Fits":
+        """Without the empty room."""
+        n = int(self.filled[0])
+        return Fits(self.spots[:n], self.values[:n], self.rotations[:n], self.ts[:n], self.filled)
+
+
+class _Work(NamedTuple):
+    """Scratch of one search."""
+
+    four: Any  # (4, 2)
+    order: Any  # (4,)
+    values: Any  # (2,)
+    matches: Any  # (64,): entries of the quad table
+    members: Any  # (4,)
+    spots4: Any  # (4,)
+    leds4: Any  # (4,)
+    labels: Any  # (6,)
+    h: Any  # (3, 3)
+    left: Any
+    right: Any
+    h2: Any
+    points: Any  # (6, 3)
+    seen: Any  # (6, 2)
+    information: Any  # (6, 3)
+    rotations: Any  # (2, 3, 3)
+    ts: Any  # (2, 3)
+    by_x: Any  # (n,)
+    xs: Any  # (n,)
 
 
 @compiled
-def nearest_neighbours(flat, usable, most, reach, lists, counts):
-    """For every usable point of ``flat`` (n, 2) its up to ``most`` nearest usable ones within ``reach``, in order."""
-    n = flat.shape[0]
-    order = np.argsort(flat[:, 0])
-    distances = np.empty(most)
-    for place in range(n):
-        i = order[place]
-        counts[i] = 0
-        if not usable[i]:
-            continue
-        count = 0
-        left, right = place - 1, place + 1
-        while left >= 0 or right < n:
-            # The next candidate by horizontal distance, from either side.
-            gap_left = flat[i, 0] - flat[order[left], 0] if left >= 0 else np.inf
-            gap_right = flat[order[right], 0] - flat[i, 0] if right < n else np.inf
-            if gap_left <= gap_right:
-                j, gap = order[left], gap_left
-                left -= 1
-            else:
-                j, gap = order[right], gap_right
-                right += 1
-            limit = distances[count - 1] if count == most else reach
-            if gap > limit:
-                break
-            if not usable[j]:
-                continue
-            distance = math.hypot(flat[j, 0] - flat[i, 0], flat[j, 1] - flat[i, 1])
-            if distance > limit:
-                continue
-            k = count if count < most else most - 1
-            while k > 0 and distances[k - 1] > distance:
-                distances[k] = distances[k - 1]
-                lists[i, k] = lists[i, k - 1]
-                k -= 1
-            distances[k] = distance
-            lists[i, k] = j
-            count = min(count + 1, most)
-        counts[i] = count
+def _work(flat):
+    by_x = np.argsort(flat[:, 0])
+    return _Work(
+        np.empty((4, 2)), np.empty(4, np.int64), np.empty(2), np.empty(64, np.int64),
+        np.empty(4, np.int64), np.empty(4, np.int64), np.empty(4, np.int64),
+        np.empty(LEDS, np.int64),
+        np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)),
+        np.empty((LEDS, 3)), np.empty((LEDS, 2)), np.empty((LEDS, 3)), np.empty((2, 3, 3)), np.empty((2, 3)),
+        by_x, flat[by_x, 0],
+    )  # fmt: skip
 
 
 @compiled
@@ -116,388 +196,254 @@ def _homography4(source, source_order, target, target_order, h, left, right):
 
 
 @compiled
-def _plausible(layout, leds, flat, spots, focal, near, far, most_tilt):
-    """Whether the affine map of three points is one that a camera can see: scale within the range, tilt, no mirror."""
-    ax, ay = layout[leds[0], 0], layout[leds[0], 1]
-    ux, uy = layout[leds[1], 0] - ax, layout[leds[1], 1] - ay
-    vx, vy = layout[leds[2], 0] - ax, layout[leds[2], 1] - ay
-    det = ux * vy - vx * uy
-    if abs(det) < 1e-12:
-        return True
-    bx, by = flat[spots[0], 0], flat[spots[0], 1]
-    px, py = flat[spots[1], 0] - bx, flat[spots[1], 1] - by
-    qx, qy = flat[spots[2], 0] - bx, flat[spots[2], 1] - by
-    g00, g01 = (px * vy - qx * uy) / det, (qx * ux - px * vx) / det
-    g10, g11 = (py * vy - qy * uy) / det, (qy * ux - py * vx) / det
-    area = g00 * g11 - g01 * g10
-    if area <= 0.0:
-        return False
-    size = g00 * g00 + g01 * g01 + g10 * g10 + g11 * g11
-    large = math.sqrt(0.5 * (size + math.sqrt(max(size * size - 4.0 * area * area, 0.0))))
-    small = area / large
-    return 0.8 * focal / far <= large <= 1.25 * focal / near and small >= 0.8 * most_tilt * large
-
-
-@compiled
-def fit_labelled(layout, spots, rays, variances, systematic2, iterations, points, seen, information, rotations, ts, h):
-    """Pose of a robot whose LEDs are the given spots (-1: not visible), turned towards the camera.
-
-    Returns how many LEDs it rests on, the cost (squared sigmas) and which of ``rotations``, ``ts`` holds the pose;
-    a negative index if there is none. ``points``, ``seen``, ``information``, ``h`` are scratch of six rows.
-    """
-    count = 0
-    cx = cy = cz = 0.0
-    for led in range(LEDS):
-        spot = spots[led]
-        if spot < 0:
-            continue
-        points[count, 0], points[count, 1], points[count, 2] = layout[led, 0], layout[led, 1], layout[led, 2]
-        cx += layout[led, 0]
-        cy += layout[led, 1]
-        cz += layout[led, 2]
-        seen[count, 0], seen[count, 1] = rays[spot, 0], rays[spot, 1]
-        information[count, 0] = information[count, 2] = 1.0 / (variances[spot] + systematic2)
-        information[count, 1] = 0.0
-        count += 1
-    cx /= count
-    cy /= count
-    cz /= count
-    for k in range(count):
-        points[k, 0] -= cx
-        points[k, 1] -= cy
-        points[k, 2] -= cz
-    p, s, w = points[:count], seen[:count], information[:count]
-    if not homography_ls(p, s, h) or not two_rotations(h, rotations[0], rotations[1]):
-        return count, NO_SOLUTION, -1
-    best, best_cost = -1, NO_SOLUTION
-    for which in range(2):
-        translation(rotations[which], p, s, ts[which])
-        if not ts[which, 2] > 0.0:
-            continue
-        cost = refine_pose(rotations[which], ts[which], p, s, w, iterations)
-        towards = 0.0
-        for i in range(3):
-            towards += rotations[which, i, 2] * ts[which, i]
-        if cost < best_cost and towards < 0.0:
-            best, best_cost = which, cost
-    if best >= 0:
-        for i in range(3):
-            ts[best, i] -= rotations[best, i, 0] * cx + rotations[best, i, 1] * cy + rotations[best, i, 2] * cz
-    return count, best_cost, best
-
-
-@compiled
-def _misfit(layout, led, rotation, t, ray):
-    """Squared distance, in ray units, between a ray and where a pose puts an LED."""
-    x, y, z = t[0], t[1], t[2]
-    for j in range(3):
-        x += rotation[0, j] * layout[led, j]
-        y += rotation[1, j] * layout[led, j]
-        z += rotation[2, j] * layout[led, j]
-    return (x / z - ray[0]) ** 2 + (y / z - ray[1]) ** 2
-
-
-@compiled
-def median_of(numbers, spots):
-    """Median of the numbers (n,) of a robot's visible spots."""
-    values = np.empty(LEDS)
-    count = 0
-    for led in range(LEDS):
-        if spots[led] >= 0:
-            k = count
-            while k > 0 and values[k - 1] > numbers[spots[led]]:
-                values[k] = values[k - 1]
-                k -= 1
-            values[k] = numbers[spots[led]]
-            count += 1
-    return 0.5 * (values[(count - 1) // 2] + values[count // 2])
-
-
-@compiled
-def search(
-    flat,
-    rays,
-    variances,
-    heights,
-    radii,
-    free,
-    layouts,
-    separations,
-    claimed,
-    brightness,
-    convex,
-    concave,
-    focal,
-    near,
-    far,
-    most_tilt,
-    reach,
-    fewest,
-    claims,
-    claim_values,
-    claim_rotations,
-    claim_ts,
-    pending,
-    pending_values,
-    pending_rotations,
-    pending_ts,
+def _complete(
+    flat, free, heights, radii, layouts, entries, entry, spots4, leds4, by_x, xs, reach, h, left, right, labels
 ):
-    """Search the spots that are ``free`` for the robots.
+    """Take the four spots ``spots4`` for the LEDs of an entry of the quad table, and look for its other two within
+    ``reach`` px of where the homography of the four puts them.
 
-    ``flat`` (n, 2) ideal px, y up; ``rays`` (n, 2) the same as x / z, y / z (y down); ``variances`` (n,) of the rays,
-    ``heights`` (n,), ``radii`` (n,) px; ``layouts`` (robots, 6, 3) m; ``separations`` (robots,) m, from any other
-    robot and any other labelling; ``claimed`` (robots,) and ``brightness`` (robots,) of robots that are known
-    already, for which only brighter rivals are of interest. ``convex`` and ``concave`` are the quad table.
-    ``near`` and ``far`` m, ``most_tilt`` the cosine of the largest tilt, ``reach`` px between LEDs of one robot,
-    ``fewest`` LEDs that make a hypothesis.
-
-    Fills ``claims`` (m, 6) and its values, rotations and translations (T_camera_plane) with robots found beyond
-    doubt, whose spots are then no longer free, and ``pending`` likewise with hypotheses. Returns both counts and the
-    number of quads tried.
+    Fills ``leds4`` (4,) and ``labels`` (6,; -1: no spot), and returns how many LEDs then have a spot (0: these four
+    cannot be).
     """
-    n = flat.shape[0]
-    n_claims, n_pending, quads = 0, 0, 0
-    lists = np.empty((n, NEIGHBOURS), np.int32)
-    counts = np.zeros(n, np.int32)
-    nearest_neighbours(flat, free, NEIGHBOURS, reach, lists, counts)
-    by_height = np.argsort(-heights)
-    four = np.empty((4, 2))
-    order = np.empty(4, np.int64)
-    values = np.empty(2)
-    members = np.empty(4, np.int64)
-    spots4 = np.empty(4, np.int64)
-    leds4 = np.empty(4, np.int64)
-    labels = np.empty(LEDS, np.int64)
-    trial = np.empty(LEDS, np.int64)
-    h, left, right, scratch_h = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    points, seen, information = np.empty((LEDS, 3)), np.empty((LEDS, 2)), np.empty((LEDS, 3))
-    rotations, ts = np.empty((2, 3, 3)), np.empty((2, 3))
-    systematic2 = (SYSTEMATIC_PX / focal) ** 2
-    missing = 0
-    for robot in range(layouts.shape[0]):
-        missing += not claimed[robot]
+    robot = entries[entry, 0]
+    labels[:] = -1
+    low, high, small, large = np.inf, 0.0, np.inf, 0.0
+    for m in range(4):
+        spot = spots4[m]
+        leds4[m] = entries[entry, 1 + m]
+        labels[leds4[m]] = spot
+        low, high = min(low, heights[spot]), max(high, heights[spot])
+        small, large = min(small, radii[spot]), max(large, radii[spot])
+    if small < RADIUS_RATIO * large or not _homography4(layouts[robot], leds4, flat, spots4, h, left, right):
+        return 0
+    found = 4
+    for led in range(LEDS):
+        if labels[led] >= 0:
+            continue
+        x, y = layouts[robot, led, 0], layouts[robot, led, 1]
+        w = h[2, 0] * x + h[2, 1] * y + 1.0
+        if w < 0.3:
+            continue
+        px = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / w
+        py = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / w
+        best, best2 = -1, reach * reach
+        place = first_from(xs, px - reach)
+        while place < xs.shape[0] and xs[place] <= px + reach:
+            spot = by_x[place]
+            place += 1
+            away2 = (flat[spot, 0] - px) ** 2 + (flat[spot, 1] - py) ** 2
+            if not (away2 < best2 and free[spot]):
+                continue
+            taken = False
+            for other in range(LEDS):
+                taken |= labels[other] == spot
+            if not taken and (
+                heights[spot] >= HEIGHT_RATIO * high
+                and low >= HEIGHT_RATIO * heights[spot]
+                and radii[spot] >= RADIUS_RATIO * large
+                and small >= RADIUS_RATIO * radii[spot]
+            ):
+                best, best2 = spot, away2
+        if best >= 0:
+            labels[led] = best
+            found += 1
+    return found
+
+
+@compiled
+def _fit(spots, layout, work, systematic2):
+    """Pose of the spots in ``work.labels``; of six that do not fit the worst is given up.
+
+    Returns how many LEDs it rests on, the cost, and which of ``work.rotations`` it is (negative: there is none).
+    """
+    labels = work.labels
+    count, cost, which = fit_labelled(
+        layout, labels, spots.rays, spots.variances, systematic2, 3,
+        work.points, work.seen, work.information, work.rotations, work.ts, work.h2,
+    )  # fmt: skip
+    if which >= 0 and count == LEDS and cost > CHI2[LEDS]:
+        # One of the six may be somebody else's light.
+        worst, worst_led = 0.0, 0
+        for led in range(LEDS):
+            off = misfit(layout, led, work.rotations[which], work.ts[which], spots.rays[labels[led]])
+            if off > worst:
+                worst, worst_led = off, led
+        labels[worst_led] = -1
+        count, cost, which = fit_labelled(
+            layout, labels, spots.rays, spots.variances, systematic2, 3,
+            work.points, work.seen, work.information, work.rotations, work.ts, work.h2,
+        )  # fmt: skip
+    return count, cost, which
+
+
+@compiled
+def _keep(fits, labels, robot, count, cost, height, rotation, t):
+    """Add a hypothesis, if it is new and there is room."""
+    slot = fits.filled[0]
+    for other in range(slot):
+        if fits.values[other, ROBOT] == robot:
+            same = True
+            for led in range(LEDS):
+                same &= fits.spots[other, led] == labels[led]
+            if same:
+                return False
+    if slot == fits.spots.shape[0]:
+        return False
+    fits.spots[slot] = labels
+    fits.values[slot, ROBOT], fits.values[slot, SEEN] = robot, count
+    fits.values[slot, COST], fits.values[slot, HEIGHT] = cost, height
+    fits.rotations[slot] = rotation
+    fits.ts[slot] = t
+    fits.filled[0] = slot + 1
+    return True
+
+
+@compiled
+def _judge(robot, spots, sought, limits, claims, pending, work, systematic2):
+    """Fit a robot to the spots ``work.labels`` and keep what fits; returns whether the robot was claimed."""
+    heights, labels, layout = spots.heights, work.labels, sought.layouts[robot]
+    count, cost, which = _fit(spots, layout, work, systematic2)
+    if which < 0 or cost > CHI2[count]:
+        return False
+    depth_m = work.ts[which, 2]
+    if not 0.8 * limits.near <= depth_m <= 1.25 * limits.far:
+        return False
+    height = median_of(heights, labels)
+    if sought.claimed[robot] and height < MIRROR_RATIO * sought.brightness[robot]:
+        return False
+    # Residual norm, m, at the robot: far below the separation no other robot fits as well.
+    residual = math.sqrt(cost * systematic2) * depth_m
+    certain = count == LEDS and 3.0 * residual <= sought.separations[robot] and not sought.claimed[robot]
+    for led in range(LEDS):
+        if labels[led] >= 0:
+            certain &= heights[labels[led]] < EVEN_HEIGHT * height
+    if not certain:
+        _keep(pending, labels, robot, count, cost, height, work.rotations[which], work.ts[which])
+        return False
+    if not _keep(claims, labels, robot, count, cost, height, work.rotations[which], work.ts[which]):
+        return False
+    sought.claimed[robot] = True
+    sought.brightness[robot] = height
+    for led in range(LEDS):
+        spots.free[labels[led]] = False
+    return True
+
+
+@compiled
+def _combine(
+    spots, sought, limits, claims, pending, work, lists, counts, by_height, previous, depth, most, systematic2
+):
+    """Try every spot with three of its first ``depth`` neighbours, at least one beyond the first ``previous``.
+
+    Stops after ``most`` quads; returns how many were tried.
+    """
+    flat, free, heights, radii, reach = spots.flat, spots.free, spots.heights, spots.radii, limits.reach
+    four, order, values, matches, members = work.four, work.order, work.values, work.matches, work.members
+    spots4, leds4, labels, h, left, right = work.spots4, work.leds4, work.labels, work.h, work.left, work.right
+    by_x, xs, layouts = work.by_x, work.xs, sought.layouts
+    entries, numbers, starts, held = sought.entries, sought.numbers, sought.starts, sought.held
+    focal, most_tilt = limits.focal, limits.most_tilt
+    least_scale, most_scale = 0.8 * focal / limits.far, 1.25 * focal / limits.near
+    slack_px, reach_others = SPOT_ERROR_PX, REACH_PX
+    if limits.alone:
+        slack_px, reach_others = 3.0 * SPOT_ERROR_PX, 0.0  # the other two are hidden
+    quads = 0
+    for i in by_height:
+        size = min(counts[i], depth)
+        for a in range(size):
+            j = lists[i, a]
+            if not free[i]:
+                break
+            if not free[j]:
+                continue
+            for b in range(a + 1, size):
+                k = lists[i, b]
+                if not (free[i] and free[j]):
+                    break
+                if not free[k] or abs(flat[j, 0] - flat[k, 0]) > reach or abs(flat[j, 1] - flat[k, 1]) > reach:
+                    continue
+                for c in range(max(b + 1, previous), size):
+                    l = lists[i, c]  # noqa: E741
+                    if not free[l] or abs(flat[j, 0] - flat[l, 0]) > reach or abs(flat[j, 1] - flat[l, 1]) > reach:
+                        continue
+                    quads += 1
+                    if quads > most:
+                        return quads
+                    found = look_up(
+                        flat, i, j, k, l, numbers, starts, held, slack_px, least_scale, most_scale, most_tilt,
+                        focal, four, order, values, matches,
+                    )  # fmt: skip
+                    if found == 0:
+                        continue
+                    members[0], members[1], members[2], members[3] = i, j, k, l
+                    brightest = heights[i]  # the others rank after it
+                    for m in range(4):
+                        spots4[m] = members[order[m]]
+                    claimed = False
+                    for m in range(found):
+                        robot = entries[matches[m], 0]
+                        if claimed or (sought.claimed[robot] and brightest < MIRROR_RATIO * sought.brightness[robot]):
+                            continue
+                        seen = _complete(
+                            flat, free, heights, radii, layouts, entries, matches[m], spots4, leds4,
+                            by_x, xs, reach_others, h, left, right, labels,
+                        )  # fmt: skip
+                        if seen >= limits.fewest and (not limits.alone or is_alone(flat, free, heights, labels)):
+                            claimed = _judge(robot, spots, sought, limits, claims, pending, work, systematic2)
+                    if claimed and not (free[i] and free[j] and free[k]):
+                        break
+    return quads
+
+
+@compiled
+def search(spots, sought, limits, claims, pending):
+    """Search the free spots for the robots.
+
+    Arguments: `Spots`, `Sought`, `Limits` and twice `Fits`. Fills ``claims`` with robots found beyond doubt, whose
+    spots are then no longer free, and ``pending`` with hypotheses. Returns the number of quads tried.
+    """
+    n = spots.flat.shape[0]
+    by_height = np.argsort(-spots.heights)
+    ranks = np.empty(n, np.int64)
+    ranks[by_height] = np.arange(n)
+    work = _work(spots.flat)
+    systematic2 = (SYSTEMATIC_PX / limits.focal) ** 2
+    lists, counts = np.empty((n, ALIKE_DEPTH), np.int32), np.zeros(n, np.int32)
+    nearest_neighbours(
+        spots.flat, spots.free, ranks, spots.heights, spots.radii, ALIKE_HEIGHT, ALIKE_RADIUS, limits.reach,
+        lists, counts,
+    )  # fmt: skip
+    budget = MOST_QUADS * n
+    quads = _combine(
+        spots, sought, limits, claims, pending, work, lists, counts, by_height, 0, ALIKE_DEPTH, budget, systematic2
+    )
+    if sought.claimed.all():
+        return quads  # rivals of robots that are found stand together, and were met already
+    lists = np.empty((n, DEPTHS[-1]), np.int32)
+    nearest_neighbours(
+        spots.flat, spots.free, ranks, spots.heights, spots.radii, HEIGHT_RATIO, RADIUS_RATIO, limits.reach,
+        lists, counts,
+    )  # fmt: skip
     previous = 0
     for depth in DEPTHS:
-        if missing == 0 and previous > 0:
-            break  # rivals of robots that are found stand together, and were met in the first pass
-        for rank in range(n):
-            i = by_height[rank]
-            if not free[i]:
-                continue
-            size = min(counts[i], depth)
-            for a in range(size):
-                j = lists[i, a]
-                if not free[i]:
-                    break
-                if not free[j]:
-                    continue
-                for b in range(a + 1, size):
-                    k = lists[i, b]
-                    if not free[i] or not free[j]:
-                        break
-                    if not free[k] or abs(flat[j, 0] - flat[k, 0]) > reach or abs(flat[j, 1] - flat[k, 1]) > reach:
-                        continue
-                    for c in range(max(b + 1, previous), size):
-                        l = lists[i, c]  # noqa: E741
-                        if not (free[i] and free[j] and free[k]):
-                            break
-                        if not free[l]:
-                            continue
-                        members[0], members[1], members[2], members[3] = i, j, k, l
-                        low, high, small, large = heights[i], heights[i], radii[i], radii[i]
-                        for m in range(1, 4):
-                            low, high = min(low, heights[members[m]]), max(high, heights[members[m]])
-                            small, large = min(small, radii[members[m]]), max(large, radii[members[m]])
-                        if low < BRIGHTNESS_RATIO * high or small < RADIUS_RATIO * large:
-                            continue
-                        quads += 1
-                        if quads > MOST_QUADS:
-                            return n_claims, n_pending, quads
-                        for m in range(4):
-                            four[m, 0], four[m, 1] = flat[members[m], 0], flat[members[m], 1]
-                        kind, area = invariants(four, order, values)
-                        if kind < 0 or area < SMALLEST_QUAD_PX2:
-                            continue
-                        row, column = int(values[0] * CELLS), int(values[1] * CELLS)
-                        if not (0 <= row < CELLS and 0 <= column < CELLS):
-                            continue
-                        entries, numbers, starts, held = convex if kind == 0 else concave
-                        cell = row * CELLS + column
-                        for place in range(starts[cell], starts[cell + 1]):
-                            entry = held[place]
-                            robot = entries[entry, 0]
-                            if (
-                                abs(numbers[entry, 0] - values[0]) > TOLERANCE
-                                or abs(numbers[entry, 1] - values[1]) > TOLERANCE
-                            ):
-                                continue
-                            if claimed[robot] and high < MIRROR_RATIO * brightness[robot]:
-                                continue
-                            layout = layouts[robot]
-                            for m in range(4):
-                                spots4[m] = members[order[m]]
-                                leds4[m] = entries[entry, 1 + m]
-                            if not _plausible(layout, leds4, flat, spots4, focal, near, far, most_tilt):
-                                continue
-                            if not _homography4(layout, leds4, flat, spots4, h, left, right):
-                                continue
-                            labels[:] = -1
-                            for m in range(4):
-                                labels[leds4[m]] = spots4[m]
-                            found = 4
-                            for led in range(LEDS):
-                                if labels[led] >= 0:
-                                    continue
-                                x, y = layout[led, 0], layout[led, 1]
-                                w = h[2, 0] * x + h[2, 1] * y + 1.0
-                                if w < 0.3:
-                                    continue
-                                px = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / w
-                                py = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / w
-                                best, best2 = -1, REACH_PX * REACH_PX
-                                for m in range(counts[i]):
-                                    near_spot = lists[i, m]
-                                    away2 = (flat[near_spot, 0] - px) ** 2 + (flat[near_spot, 1] - py) ** 2
-                                    if away2 < best2 and free[near_spot]:
-                                        taken = False
-                                        for other in range(LEDS):
-                                            taken |= labels[other] == near_spot
-                                        if not taken and (
-                                            heights[near_spot] >= BRIGHTNESS_RATIO * high
-                                            and low >= BRIGHTNESS_RATIO * heights[near_spot]
-                                            and radii[near_spot] >= RADIUS_RATIO * large
-                                            and small >= RADIUS_RATIO * radii[near_spot]
-                                        ):
-                                            best, best2 = near_spot, away2
-                                if best >= 0:
-                                    labels[led] = best
-                                    found += 1
-                            if found < fewest:
-                                continue
-                            count, cost, which = fit_labelled(
-                                layout,
-                                labels,
-                                rays,
-                                variances,
-                                systematic2,
-                                3,
-                                points,
-                                seen,
-                                information,
-                                rotations,
-                                ts,
-                                scratch_h,
-                            )
-                            if which >= 0 and count == LEDS and cost > CHI2[LEDS]:
-                                # One of the six may be somebody else's light: leave out the worst.
-                                worst, worst_led = 0.0, 0
-                                for led in range(LEDS):
-                                    off = _misfit(layout, led, rotations[which], ts[which], rays[labels[led]])
-                                    if off > worst:
-                                        worst, worst_led = off, led
-                                trial[:] = labels
-                                trial[worst_led] = -1
-                                count, cost, which = fit_labelled(
-                                    layout,
-                                    trial,
-                                    rays,
-                                    variances,
-                                    systematic2,
-                                    3,
-                                    points,
-                                    seen,
-                                    information,
-                                    rotations,
-                                    ts,
-                                    scratch_h,
-                                )
-                                labels[:] = trial
-                            if which < 0 or cost > CHI2[count]:
-                                continue
-                            depth_m = ts[which, 2]
-                            if not 0.8 * near <= depth_m <= 1.25 * far:
-                                continue
-                            height = median_of(heights, labels)
-                            if claimed[robot] and height < MIRROR_RATIO * brightness[robot]:
-                                continue
-                            # Residual norm, m, at the robot: far below the separation no other robot fits as well.
-                            residual = math.sqrt(cost * systematic2) * depth_m
-                            certain = count == LEDS and 3.0 * residual <= separations[robot] and not claimed[robot]
-                            for led in range(LEDS):
-                                if labels[led] >= 0:
-                                    certain &= heights[labels[led]] < EVEN_HEIGHT * height
-                            if certain:
-                                if n_claims == claims.shape[0]:
-                                    continue
-                                out, out_values, slot = claims, claim_values, n_claims
-                                out_rotations, out_ts = claim_rotations, claim_ts
-                            else:
-                                known = False
-                                for other in range(n_pending):
-                                    if pending_values[other, ROBOT] == robot:
-                                        same = True
-                                        for led in range(LEDS):
-                                            same &= pending[other, led] == labels[led]
-                                        known |= same
-                                if known or n_pending == pending.shape[0]:
-                                    continue
-                                out, out_values, slot = pending, pending_values, n_pending
-                                out_rotations, out_ts = pending_rotations, pending_ts
-                            for led in range(LEDS):
-                                out[slot, led] = labels[led]
-                            out_values[slot, ROBOT] = robot
-                            out_values[slot, SEEN] = count
-                            out_values[slot, COST] = cost
-                            out_values[slot, HEIGHT] = height
-                            out_rotations[slot] = rotations[which]
-                            out_ts[slot] = ts[which]
-                            if certain:
-                                n_claims += 1
-                                claimed[robot] = True
-                                brightness[robot] = height
-                                missing -= 1
-                                for led in range(LEDS):
-                                    free[labels[led]] = False
-                                break
-                            n_pending += 1
+        if quads < budget and not sought.claimed.all():
+            quads += _combine(
+                spots, sought, limits, claims, pending, work, lists, counts, by_height, previous, depth,
+                budget - quads, systematic2,
+            )  # fmt: skip
         previous = depth
-    return n_claims, n_pending, quads
+    return quads
 
 
-@compiled
-def refit_versions(layout, spots, rays, variances, systematic2, versions, costs, rotations_out, ts_out):
-    """Fit a hypothesis anew with another systematic variance: as it is, and with each LED left out if it has six.
-
-    Fills ``versions`` (7, 6) with the spots of each version, ``costs`` (7,) (NO_SOLUTION where there is no pose),
-    ``rotations_out`` (7, 3, 3) and ``ts_out`` (7, 3); returns how many versions there are.
-    """
-    points, seen, information = np.empty((LEDS, 3)), np.empty((LEDS, 2)), np.empty((LEDS, 3))
-    rotations, ts, h = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty((3, 3))
-    complete = True
-    for led in range(LEDS):
-        complete &= spots[led] >= 0
-    count = 1 + LEDS if complete else 1
-    for version in range(count):
-        versions[version] = spots
-        if version > 0:
-            versions[version, version - 1] = -1
-        _, costs[version], which = fit_labelled(
-            layout,
-            versions[version],
-            rays,
-            variances,
-            systematic2,
-            5,
-            points,
-            seen,
-            information,
-            rotations,
-            ts,
-            h,
-        )
-        if which < 0:
-            costs[version] = NO_SOLUTION
-        else:
-            rotations_out[version] = rotations[which]
-            ts_out[version] = ts[which]
-    return count
+def searched(
+    spots: Spots, plan: Plan, claimed: NDArray[np.bool_], brightness: Floats, fewest: int, alone: bool = False
+) -> tuple[Fits, Fits]:
+    """Claims and hypotheses of a search, cut to what there is."""
+    quads = plan.quads
+    sought = Sought(
+        plan.layouts, plan.separations, claimed, brightness, quads.entries, quads.numbers, quads.starts, quads.held
+    )
+    limits = Limits(plan.focal, plan.near, plan.far, MOST_TILT, plan.reach_px, fewest, alone)
+    claims, pending = Fits.room(MOST_CLAIMS), Fits.room(MOST_PENDING)
+    search(spots, sought, limits, claims, pending)
+    return claims.held(), pending.held()

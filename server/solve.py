@@ -11,6 +11,7 @@ import numpy as np
 
 from asterism.protocol.geometry import Floats, Pose
 from asterism.server.compiled import compiled
+from asterism.server.fit import LEDS
 from asterism.server.lens import FX, FY, project_point
 from asterism.server.planar import (
     NO_SOLUTION,
@@ -20,7 +21,6 @@ from asterism.server.planar import (
     solve_both,
 )
 from asterism.server.rotations import product_into
-from asterism.server.search import LEDS
 
 ITERATIONS = 12
 FEW = 3  # iterations, after which a second minimum that costs more than the first by HOPELESS is good enough

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +10,11 @@ import pytest
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.rig import Rig
 from asterism.server import assign
+from asterism.server.evidence import score
 from asterism.server.identify import Matches, Rays, identify
+from asterism.server.neighbours import first_from, nearest_neighbours
 from asterism.server.plan import Plan, plan_for
-from asterism.server.quads import QuadTable, invariants
-from asterism.server.search import nearest_neighbours
+from asterism.server.quads import CELLS, QuadTable, invariants, look_up
 from asterism.server.track import Tracks
 from tests.helpers import facing_pose
 from tests.rigs import make_rig, random_layout
@@ -131,23 +133,65 @@ def test_the_table_holds_every_quad_in_every_rotation(rng: np.random.Generator) 
         for leds in itertools.permutations(range(6), 4):
             kind, _ = invariants(np.ascontiguousarray(layout[list(leds)]), order, values)
             ring = [robot, *[leds[k] for k in order]]
-            entries, numbers, starts, held = table.convex if kind == 0 else table.concave
-            cell = int(values[0] * 40) * 40 + int(values[1] * 40)
-            there = [entries[k].tolist() for k in held[starts[cell] : starts[cell + 1]]]
-            assert ring in there
-            assert np.abs(numbers[entries.tolist().index(ring)] - values).max() < 1e-9
+            cell = (kind * CELLS + int(values[0] * CELLS)) * CELLS + int(values[1] * CELLS)
+            held = table.held[table.starts[cell] : table.starts[cell + 1]]
+            (entry,) = [k for k in held if table.entries[k].tolist() == ring]
+            assert np.abs(table.numbers[entry, :2] - values).max() < 1e-9
+
+
+def test_four_leds_are_looked_up_in_any_perspective_and_their_mirror_image_is_not(rng: np.random.Generator) -> None:
+    """Every four LEDs of a near, tilted plate are among the matches of their spots; the mirrored spots find nothing
+    with the same labels.
+    """
+    focal, layouts = 1400.0, np.array([random_layout(rng) for _ in range(4)])
+    table = QuadTable(layouts)
+    four, order, values = np.empty((4, 2)), np.empty(4, np.int64), np.empty(2)
+    matches = np.empty(64, np.int64)
+
+    def looked_up(flat: Floats, leds: tuple[int, ...]) -> list[list[int]]:
+        count = look_up(
+            flat, *leds, table.numbers, table.starts, table.held, 0.2, 0.8 * focal / 2.0, 1.25 * focal / 0.8,
+            math.cos(math.radians(75)), focal, four, order, values, matches,
+        )  # fmt: skip
+        assert count < len(matches)
+        return [table.entries[k].tolist() for k in matches[:count]]
+
+    tried = missed = 0
+    for _ in range(60):
+        robot, pose = int(rng.integers(4)), facing_pose(rng, (0.8, 2.0), (0.0, 60.0))
+        seen = pose.map(np.column_stack([layouts[robot], np.zeros(6)]))
+        flat = seen[:, :2] / seen[:, 2:] * [focal, -focal] + 0.05 * rng.standard_normal((6, 2))
+        for leds in itertools.combinations(range(6), 4):
+            found = looked_up(flat, leds)
+            area = invariants(np.ascontiguousarray(flat[list(leds)]), order, values)[1]
+            if area > 300.0:
+                tried += 1
+                missed += [robot, *[leds[k] for k in order]] not in found
+            mirrored = looked_up(flat * [-1.0, 1.0], leds)
+            assert [robot, *[leds[k] for k in order]] not in mirrored
+    assert tried > 700
+    assert missed <= 0.01 * tried
 
 
 def test_nearest_neighbours_equal_sorting_all_distances(rng: np.random.Generator) -> None:
     points = rng.uniform(0, 500, (80, 2))
     usable = rng.random(80) < 0.8
-    lists, counts = np.empty((80, 10), np.int32), np.zeros(80, np.int32)
-    nearest_neighbours(points, usable, 10, 120.0, lists, counts)
+    ranks, heights, radii = rng.permutation(80), rng.uniform(20, 200, 80), rng.uniform(1, 4, 80)
+    lists, counts = np.empty((80, 6), np.int32), np.zeros(80, np.int32)
+    nearest_neighbours(points, usable, ranks, heights, radii, 0.5, 0.6, 120.0, lists, counts)
     for i in np.flatnonzero(usable):
         away = np.hypot(*(points - points[i]).T)
-        away[i], away[~usable] = np.inf, np.inf
-        expected = [j for j in np.argsort(away)[:10] if away[j] <= 120.0]
+        unlike = (heights < 0.5 * heights[i]) | (np.minimum(radii, radii[i]) < 0.6 * np.maximum(radii, radii[i]))
+        away[i], away[~usable | unlike | (ranks < ranks[i])] = np.inf, np.inf
+        expected = [j for j in np.argsort(away)[:6] if away[j] <= 120.0]
         assert lists[i, : counts[i]].tolist() == expected
+    assert counts.max() == 6
+
+
+def test_the_first_place_equals_searchsorted(rng: np.random.Generator) -> None:
+    xs = np.sort(rng.integers(0, 50, 40).astype(float))
+    for x in [-1.0, 60.0, *rng.integers(0, 50, 30).astype(float)]:
+        assert first_from(xs, x) == np.searchsorted(xs, x, side="left")
 
 
 def test_cold_search_equals_brute_force_on_one_robot(rng: np.random.Generator) -> None:
@@ -190,6 +234,62 @@ def test_robots_without_a_range_in_the_rig_are_found(rng: np.random.Generator) -
     for _ in range(10):
         seen, where = spots_of(plan_for(rig), dict(enumerate(apart(rng, 5))), rng, clutter=10)
         assert check(cold(seen, rig), where) == (5, 0)
+
+
+def with_sizes(seen: Rays, plan: Plan, poses: dict[int, Pose], where: dict[int, Floats]) -> Rays:
+    """The same spots as large as LEDs of 2.5 mm are at their distances."""
+    radii = seen.radii.copy()
+    for robot, pose in poses.items():
+        facing = -pose.rotation[:, 2] @ pose.position / np.linalg.norm(pose.position)
+        rows = where[robot][where[robot] >= 0]
+        radii[rows] = 0.0025 * plan.focal / pose.position[2] * math.sqrt(facing)
+    return replace(seen, radii=radii)
+
+
+@pytest.mark.parametrize("everybody", [False, True])
+def test_four_leds_are_enough_where_nothing_else_explains_them(rng: np.random.Generator, everybody: bool) -> None:
+    """Cold, in a rig of eight: two LEDs hidden of a third of the robots, or of all."""
+    rig = make_rig(8, seed=11)
+    plan = plan_for(rig)
+    lacking = found = 0
+    for _ in range(25):
+        poses = dict(enumerate(apart(rng, 8)))
+        hidden = {robot: rng.choice(6, 2, replace=False).tolist() for robot in poses if everybody or rng.random() < 0.3}
+        seen, where = spots_of(plan, poses, rng, hidden, clutter=0 if everybody else 10)
+        matches = cold(with_sizes(seen, plan, poses, where), rig)
+        assert check(matches, where)[1] == 0
+        lacking += len(hidden)
+        found += len(hidden.keys() & set(matches.robots.tolist()))
+    assert found >= 0.6 * lacking
+
+
+def test_four_leds_of_a_stranger_with_six_are_nobody(rng: np.random.Generator) -> None:
+    rig, strangers = make_rig(8, seed=12), make_rig(8, seed=98)
+    plan = plan_for(strangers)
+    for lit in (6, 5):
+        for _ in range(20):
+            poses = dict(enumerate(apart(rng, 8)))
+            hidden = {robot: rng.choice(6, 6 - lit, replace=False).tolist() for robot in poses}
+            seen, where = spots_of(plan, poses, rng, hidden)
+            assert cold(with_sizes(seen, plan, poses, where), rig).robots.tolist() == []
+
+
+def test_four_leds_among_others_like_them_are_a_doubt_or_nobody(rng: np.random.Generator) -> None:
+    """A fifth and a sixth light within the constellation: it may be a stranger's."""
+    rig = make_rig(8, seed=13)
+    plan = plan_for(rig)
+    for _ in range(10):
+        pose = facing_pose(rng, (1.0, 1.4), (0.0, 40.0))
+        seen, where = spots_of(plan, {0: pose}, rng, {0: [1, 4]})
+        seen = with_sizes(seen, plan, {0: pose}, where)
+        middle = seen.rays.mean(axis=0) + 0.01 * rng.standard_normal((2, 2))
+        more = Rays(
+            np.arange(6),
+            np.vstack([seen.flat, middle * [plan.focal, -plan.focal]]),
+            np.vstack([seen.rays, middle]),
+            *(np.concatenate([a, a[:2]]) for a in (seen.covariances, seen.variances, seen.heights, seen.radii)),
+        )
+        assert cold(more, rig).robots.tolist() == []
 
 
 def test_clutter_alone_is_nobody(rng: np.random.Generator) -> None:
@@ -279,8 +379,11 @@ def test_what_may_be_chance_is_not_claimed() -> None:
 
 def test_the_score_falls_with_chance() -> None:
     def value(seen: int = 5, sigma: float = 0.05, around: int = 8, robots: int = 5, chi2: float = 4.0) -> float:
-        return assign.score(
-            chi2, np.full(seen, sigma**2), np.full(seen, 100.0), np.full(seen, 2.5), around, math.pi * 80**2, robots
+        spots = np.where(np.arange(6) < seen, np.arange(6), -1)
+        return float(
+            score(
+                chi2, np.full(6, sigma**2), np.full(6, 100.0), np.full(6, 2.5), spots, around, math.pi * 80**2, robots
+            )
         )
 
     assert value(6) > value(5) > value(4)
