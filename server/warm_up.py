@@ -41,3 +41,5 @@ def _run() -> None:
             frame = Frame(image, index * 16_666_667 + 1, index)
             _, after = localize(frame, replace(rig, centre=estimator), tracks)
         tracks = after
+    four = [replace(entry, lit=(True,) * 4 + (False,) * 2) for entry in scene.truth(2, 0.0)]
+    localize(Frame(scene.render(2, four), 1, 2), rig, Tracks.none())
