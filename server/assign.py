@@ -16,7 +16,7 @@ from asterism.protocol.geometry import Floats
 
 BEYOND_CHANCE = 12.0  # the least score, in nats: one false claim in 160 000 places looked at
 TWO_PLACES = "it is seen in two places"
-RIVAL = 4.0  # score of a brighter place of the same robot, from which on the dimmer one is not claimed
+RIVAL = 2.5  # score of a brighter place of the same robot, from which on the dimmer one is not claimed
 MARGIN = 7.0  # over the best explanation without it, in nats: odds of 1000
 MIRROR_RATIO = 0.6  # of two explanations of one robot the dimmer is a mirror image if it is dimmer than this
 LARGEST_GROUP = 14  # rivals that are judged together; the weakest beyond that are left out

@@ -80,10 +80,10 @@ def invariants(points, order, values):
     return 0, abs(det)
 
 
-# Columns of an entry's numbers: its invariants (2), the inverse (4, row by row) of the matrix whose columns lead from
-# its first to its second and third LED (m), what two depth differences are taken between (2 + 2, m), and their weights
-# (2); see `look_up`.
-NUMBERS = 12
+# Columns of an entry's numbers: its invariants (2); what makes of four spots' x or y a row of the affine map from the
+# plate that fits them best (2 x 4, 1 / m); what two depth differences are taken between (2 + 2, m), and their
+# weights (2); see `look_up`.
+NUMBERS = 16
 
 
 @compiled
@@ -99,10 +99,11 @@ def look_up(
     Fills ``matches`` (m,) with entries and ``order`` (4,) with the order of the spots that belongs to them, and returns
     how many there are.
 
-    Three spots give the weak perspective: its singular values are focal / depth and that times the cosine of the
-    tilt; the gradient g of the relative depth over the plate lies along the second singular vector, up to its sign. In
-    perspective a point's weight in a sum is multiplied by its relative depth, so the crossing fraction s of a
-    diagonal d moves by s (1 - s) g d, and a barycentric coordinate w by w g (corner - inner point).
+    The affine map from plate to spots is their weak perspective: its singular values are focal / depth and that times
+    the cosine of the tilt; the gradient g of the relative depth over the plate lies along the second singular
+    vector, up to its sign. In perspective a point's weight in a sum is multiplied by its relative depth, so the
+    crossing fraction s of a diagonal d moves by s (1 - s) g d, and a barycentric coordinate w by w g (corner - inner
+    point).
     """
     four[0, 0], four[0, 1], four[1, 0], four[1, 1] = flat[i, 0], flat[i, 1], flat[j, 0], flat[j, 1]
     four[2, 0], four[2, 1], four[3, 0], four[3, 1] = flat[k, 0], flat[k, 1], flat[m, 0], flat[m, 1]
@@ -113,11 +114,13 @@ def look_up(
     row, column = int(s * CELLS), int(t * CELLS)
     if not (0 <= row < CELLS and 0 <= column < CELLS):
         return 0
-    ax, ay = four[order[0], 0], four[order[0], 1]
-    px, py = four[order[1], 0] - ax, four[order[1], 1] - ay
-    qx, qy = four[order[2], 0] - ax, four[order[2], 1] - ay
+    ax, ay, bx, by = four[order[0], 0], four[order[0], 1], four[order[1], 0], four[order[1], 1]
+    cx, cy, dx, dy = four[order[2], 0], four[order[2], 1], four[order[3], 0], four[order[3], 1]
     # The flatter the quad, the more its invariants suffer from what spots are off.
-    slack = LEAST_SLACK + 1.5 * slack_px * math.sqrt(max(px * px + py * py, qx * qx + qy * qy)) / area
+    slack = (
+        LEAST_SLACK
+        + 1.5 * slack_px * math.sqrt(max((bx - ax) ** 2 + (by - ay) ** 2, (cx - ax) ** 2 + (cy - ay) ** 2)) / area
+    )
     least2, most2, per_focal2, wide2 = least_scale**2, most_scale**2, 1.0 / focal**2, (1.0 + NEGLECTED) ** 2
     cell = (kind * CELLS + row) * CELLS + column
     count = 0
@@ -126,10 +129,10 @@ def look_up(
         off0, off1 = s - numbers[entry, 0], t - numbers[entry, 1]
         if abs(off0) > TOLERANCE or abs(off1) > TOLERANCE:
             continue
-        g00 = px * numbers[entry, 2] + qx * numbers[entry, 4]
-        g01 = px * numbers[entry, 3] + qx * numbers[entry, 5]
-        g10 = py * numbers[entry, 2] + qy * numbers[entry, 4]
-        g11 = py * numbers[entry, 3] + qy * numbers[entry, 5]
+        u0, u1, u2, u3 = numbers[entry, 2], numbers[entry, 3], numbers[entry, 4], numbers[entry, 5]
+        v0, v1, v2, v3 = numbers[entry, 6], numbers[entry, 7], numbers[entry, 8], numbers[entry, 9]
+        g00, g01 = ax * u0 + bx * u1 + cx * u2 + dx * u3, ax * v0 + bx * v1 + cx * v2 + dx * v3
+        g10, g11 = ay * u0 + by * u1 + cy * u2 + dy * u3, ay * v0 + by * v1 + cy * v2 + dy * v3
         size = g00 * g11 - g01 * g10
         m00, m01, m11 = g00 * g00 + g10 * g10, g00 * g01 + g10 * g11, g01 * g01 + g11 * g11
         both = m00 + m11
@@ -140,10 +143,10 @@ def look_up(
             continue
         # n = focal^2 g g^T: what the image of an untilted plate has more.
         n00, n01, n11 = large2 - m00, -m01, large2 - m11
-        d0x, d0y, d1x, d1y = numbers[entry, 6], numbers[entry, 7], numbers[entry, 8], numbers[entry, 9]
+        d0x, d0y, d1x, d1y = numbers[entry, 10], numbers[entry, 11], numbers[entry, 12], numbers[entry, 13]
         # The squares of the movements, their product, and whether the invariants have moved so, either way.
-        q0 = per_focal2 * numbers[entry, 10] ** 2 * (n00 * d0x * d0x + 2.0 * n01 * d0x * d0y + n11 * d0y * d0y)
-        q1 = per_focal2 * numbers[entry, 11] ** 2 * (n00 * d1x * d1x + 2.0 * n01 * d1x * d1y + n11 * d1y * d1y)
+        q0 = per_focal2 * numbers[entry, 14] ** 2 * (n00 * d0x * d0x + 2.0 * n01 * d0x * d0y + n11 * d0y * d0y)
+        q1 = per_focal2 * numbers[entry, 15] ** 2 * (n00 * d1x * d1x + 2.0 * n01 * d1x * d1y + n11 * d1y * d1y)
         far0, far1 = max(abs(off0) - slack, 0.0), max(abs(off1) - slack, 0.0)
         if far0 * far0 > wide2 * q0 or far1 * far1 > wide2 * q1:
             continue
@@ -209,10 +212,10 @@ def _turns(kind: int, ring: list[int], s: float, t: float) -> Iterator[tuple[lis
 def _numbers(kind: int, points: Floats, s: float, t: float) -> Floats:
     """A row of the table's numbers for four LEDs (4, 2) with invariants ``s`` and ``t``."""
     a, b, c, d = points
-    inverse = np.linalg.pinv(np.column_stack([b - a, c - a])).ravel()
+    affine = np.linalg.pinv(points - points.mean(axis=0)).ravel()
     if kind == 0:
-        return np.concatenate([[s, t], inverse, c - a, d - b, [s * (1.0 - s), t * (1.0 - t)]])
-    return np.concatenate([[s, t], inverse, a - d, b - d, [s, t]])
+        return np.concatenate([[s, t], affine, c - a, d - b, [s * (1.0 - s), t * (1.0 - t)]])
+    return np.concatenate([[s, t], affine, a - d, b - d, [s, t]])
 
 
 def _cell(value: float) -> int:
