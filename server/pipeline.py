@@ -70,7 +70,8 @@ def _answers(
     costs, covariances, residuals = np.empty((m, 2)), np.empty((m, 2, 6, 6)), np.empty((m, 2, 6, 2))
     solve_robots(
         plan.layouts[matches.robots], matches.assignment, seen.rays, seen.covariances, blobs.centres_px[seen.rows],
-        matches.rotations, matches.ts, matches.is_warm, plan.lens, rotations, ts, costs, covariances, residuals,
+        matches.rotations, matches.ts, matches.is_warm, plan.lens, plan.optics[matches.robots],
+        rotations, ts, costs, covariances, residuals,
     )  # fmt: skip
     best, odds = np.empty(m, np.int64), np.empty(m)
     positions, quaternions, parent_covariances = np.empty((m, 2, 3)), np.empty((m, 2, 4)), np.empty((m, 6, 6))

@@ -12,6 +12,7 @@ from asterism.protocol.rig import Rig
 from asterism.server.blobs import Ints, Scratch
 from asterism.server.lens import lens_of
 from asterism.server.quads import QuadTable
+from asterism.server.spot_shift import optics_of
 
 MOST_TILT = math.cos(math.radians(75.0))  # beyond that a plate shows no LED worth measuring
 LARGEST_SPOT = 0.02  # of the image's diagonal, where the rig does not say how large the LEDs are
@@ -27,6 +28,7 @@ class Plan:
         self.lens: Floats = lens_of(camera)
         self.focal = math.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1])
         self.layouts: Floats = np.ascontiguousarray([robot.leds_plane for robot in rig.robots])
+        self.optics: Floats = np.array([optics_of(robot) for robot in rig.robots])
         self.plane_rotations: Floats = np.array([robot.T_robot_plane.rotation for robot in rig.robots])
         self.plane_origins: Floats = np.array([robot.T_robot_plane.position for robot in rig.robots])
         self.axes: Floats = np.array([robot.T_robot_plane.rotation.T @ robot.axis for robot in rig.robots])

@@ -1,5 +1,6 @@
 """From labelled spots to a pose: both minima of the plane refined, the likelier chosen, both kept with their odds.
 
+Rays are corrected for what shifts an LED's spot (`spot_shift`) at the pose they lead to, each minimum for itself.
 Covariances are those of the spots carried through the refined pose; where the residuals are larger than the spots'
 own noise allows (calibration, LED positions), what is missing is estimated from them and added to every spot first.
 """
@@ -21,6 +22,7 @@ from asterism.server.planar import (
     solve_both,
 )
 from asterism.server.rotations import product_into
+from asterism.server.spot_shift import correct_rays, has_shift, refine_shifted, spot_shifts
 
 ITERATIONS = 12
 FEW = 3  # iterations, after which a second minimum that costs more than the first by HOPELESS is good enough
@@ -84,8 +86,13 @@ class Lost:
 
 
 @compiled
-def _gather(layout, spots, rays, ray_covariances, extra, focal, points, seen, information, centre):
-    """Points centred on their mean, rays and information of the visible LEDs; returns their count."""
+def _gather(
+    layout, spots, rays, ray_covariances, shifts, extra, focal, points, seen, applied, information, centre
+):  # fmt: skip
+    """Points centred on their mean, rays without their shift and information of the visible LEDs; returns their count.
+
+    ``shifts`` (6, 2) by LED; ``applied`` are those of the visible ones.
+    """
     count = 0
     centre[:] = 0.0
     floor = (LEAST_SIGMA_PX / focal) ** 2
@@ -95,7 +102,9 @@ def _gather(layout, spots, rays, ray_covariances, extra, focal, points, seen, in
             continue
         points[count] = layout[led]
         centre += layout[led]
-        seen[count] = rays[spot]
+        for axis in range(2):
+            applied[count, axis] = shifts[led, axis]
+            seen[count, axis] = rays[spot, axis] - shifts[led, axis]
         xx, xy = ray_covariances[spot, 0] + floor + extra, ray_covariances[spot, 1]
         yy = ray_covariances[spot, 2] + floor + extra
         det = xx * yy - xy * xy
@@ -122,12 +131,13 @@ def _squared_residuals(rotation, t, points, seen):
 
 
 @compiled
-def _odd_led(layout, spots, rays, ray_covariances, start_rotation, start_t, focal):
+def _odd_led(layout, spots, rays, ray_covariances, shifts, start_rotation, start_t, focal):
     """The LED of six whose spot is not where the other five say, or -1: other light may have moved it.
 
-    The start is changed to the pose refined on all six, where they agree.
+    The start is changed to the pose refined on all six, where they agree. ``shifts`` (6, 2) are those at the start.
     """
     points, seen, information = np.empty((LEDS, 3)), np.empty((LEDS, 2)), np.empty((LEDS, 3))
+    applied = np.empty((LEDS, 2))
     centre, rotation, t = np.empty(3), np.empty((3, 3)), np.empty(3)
     trial = np.empty(LEDS, np.int64)
     both, both_t, both_costs = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty(2)
@@ -136,7 +146,9 @@ def _odd_led(layout, spots, rays, ray_covariances, start_rotation, start_t, foca
         trial[:] = spots
         if without >= 0:
             trial[without] = -1
-        count = _gather(layout, trial, rays, ray_covariances, 0.0, focal, points, seen, information, centre)
+        count = _gather(
+            layout, trial, rays, ray_covariances, shifts, 0.0, focal, points, seen, applied, information, centre
+        )  # fmt: skip
         if without < 0 and count < LEDS:
             return -1
         rotation[:, :] = start_rotation
@@ -169,58 +181,72 @@ def _odd_led(layout, spots, rays, ray_covariances, start_rotation, start_t, foca
 
 @compiled
 def solve_robots(
-    layouts, assignment, rays, ray_covariances, centres, start_rotations, start_ts, is_warm, lens,
+    layouts, assignment, rays, ray_covariances, centres, start_rotations, start_ts, is_warm, lens, optics,
     rotations, ts, costs, covariances, residuals,
 ):  # fmt: skip
     """Solve every matched robot.
 
     ``layouts`` (m, 6, 3) m; ``assignment`` (m, 6) spots or -1, changed where one of six spots turns out to be
     odd; ``rays`` (n, 2), ``ray_covariances`` (n, 3) and ``centres`` (n, 2) px of the spots; ``start_rotations``
-    (m, 3, 3) and ``start_ts`` (m, 3) from the matching, of use where ``is_warm`` (m,); ``lens`` as in `lens`.
+    (m, 3, 3) and ``start_ts`` (m, 3) from the matching, of use where ``is_warm`` (m,); ``lens`` as in `lens`,
+    ``optics`` (m, OPTICS) as in `spot_shift`.
 
     Fills, for both minima of every robot, ``rotations`` (m, 2, 3, 3) and ``ts`` (m, 2, 3) = T_camera_plane,
     ``costs`` (m, 2) (chi squared; NO_SOLUTION where there is none or it faces away), ``covariances`` (m, 2, 6, 6) of
     the plane's origin (m) and rotation about the camera's axes (rad), ``residuals`` (m, 2, 6, 2) px.
     """
-    points, seen, information = np.empty((LEDS, 3)), np.empty((LEDS, 2)), np.empty((LEDS, 3))
+    points, information, shifts = np.empty((LEDS, 3)), np.empty((LEDS, 3)), np.empty((LEDS, 2))
+    # Either minimum has its own shifts.
+    seen, applied = np.empty((2, LEDS, 2)), np.empty((2, LEDS, 2))
     centre, arm, a, b = np.empty(3), np.empty(3), np.empty((6, 6)), np.empty(6)
     start, start_t = np.empty((3, 3)), np.empty(3)
     focal = math.sqrt(lens[FX] * lens[FY])
     for robot in range(layouts.shape[0]):
-        layout, spots = layouts[robot], assignment[robot]
+        layout, spots, glass = layouts[robot], assignment[robot], optics[robot]
         both, both_t, both_costs = rotations[robot], ts[robot], costs[robot]
         both_costs[:] = NO_SOLUTION
         extra = 0.0
         start[:, :] = start_rotations[robot]
         start_t[:] = start_ts[robot]
-        without = _odd_led(layout, spots, rays, ray_covariances, start, start_t, focal)
+        spot_shifts(start, start_t, layout, glass, shifts)
+        without = _odd_led(layout, spots, rays, ray_covariances, shifts, start, start_t, focal)
         if without >= 0:
             spots[without] = -1
         for attempt in range(2):
-            count = _gather(layout, spots, rays, ray_covariances, extra, focal, points, seen, information, centre)
-            p, s, w = points[:count], seen[:count], information[:count]
-            if attempt == 1:
-                for which in range(2):
-                    if both_costs[which] < NO_SOLUTION:
-                        both_costs[which] = refine_pose(both[which], both_t[which], p, s, w, ITERATIONS)
-            elif is_warm[robot]:
+            count = _gather(
+                layout, spots, rays, ray_covariances, shifts, extra, focal,
+                points, seen[0], applied[0], information, centre,
+            )  # fmt: skip
+            seen[1, :, :] = seen[0]
+            applied[1, :, :] = applied[0]
+            p, w = points[:count], information[:count]
+            s0, s1, d0, d1 = seen[0, :count], seen[1, :count], applied[0, :count], applied[1, :count]
+            if attempt == 0 and is_warm[robot]:
                 both[0] = start
                 for i in range(3):
                     both_t[0, i] = start_t[i]
                     for j in range(3):
                         both_t[0, i] += start[i, j] * centre[j]
-                both_costs[0] = refine_pose(both[0], both_t[0], p, s, w, ITERATIONS)
-                if other_minimum(both[0], both_t[0], p, s, both[1], both_t[1]) and both_t[1, 2] > 0.0:
-                    both_costs[1] = refine_pose(both[1], both_t[1], p, s, w, FEW)
+                both_costs[0] = refine_shifted(both[0], both_t[0], p, s0, d0, w, glass, focal, ITERATIONS)
+                if other_minimum(both[0], both_t[0], p, s0, both[1], both_t[1]) and both_t[1, 2] > 0.0:
+                    correct_rays(both[1], both_t[1], p, glass, s1, d1)
+                    both_costs[1] = refine_pose(both[1], both_t[1], p, s1, w, FEW)
                     if both_costs[1] < both_costs[0] + HOPELESS:
-                        both_costs[1] = refine_pose(both[1], both_t[1], p, s, w, ITERATIONS)
+                        both_costs[1] = refine_shifted(both[1], both_t[1], p, s1, d1, w, glass, focal, ITERATIONS)
             else:
-                solve_both(p, s, w, ITERATIONS, True, both, both_t, both_costs)
+                if attempt == 0:
+                    solve_both(p, s0, w, ITERATIONS, True, both, both_t, both_costs)
+                for which in range(2):
+                    if both_costs[which] < NO_SOLUTION and (attempt == 1 or has_shift(glass)):
+                        both_costs[which] = refine_shifted(
+                            both[which], both_t[which], p, seen[which, :count], applied[which, :count], w, glass,
+                            focal, ITERATIONS,
+                        )  # fmt: skip
             better = 0 if both_costs[0] <= both_costs[1] else 1
             if attempt == 1 or both_costs[better] <= _SURPRISE[count] or both_costs[better] >= NO_SOLUTION:
                 break
             # Residuals beyond the spots' noise: whatever causes them counts as noise of every spot.
-            extra = _squared_residuals(both[better], both_t[better], p, s) / (2 * count - 6)
+            extra = _squared_residuals(both[better], both_t[better], p, seen[better, :count]) / (2 * count - 6)
         for which in range(2):
             rotation, t = both[which], both_t[which]
             towards = 0.0
@@ -229,7 +255,7 @@ def solve_robots(
             if both_costs[which] >= NO_SOLUTION or towards >= 0.0:
                 both_costs[which] = NO_SOLUTION
                 continue
-            normal_equations(rotation, t, p, s, w, a, b)
+            normal_equations(rotation, t, p, seen[which, :count], w, a, b)
             _invert(a, covariances[robot, which])
             # From the visible LEDs' mean back to the plane's origin: t -= R centre, with the rotation's share.
             for i in range(3):
@@ -238,6 +264,7 @@ def solve_robots(
                     arm[i] -= rotation[i, j] * centre[j]
                 t[i] += arm[i]
             move_origin(covariances[robot, which], arm)
+            spot_shifts(rotation, t, layout, glass, shifts)
             for led in range(LEDS):
                 residuals[robot, which, led, :] = 0.0
                 if spots[led] >= 0:
@@ -246,7 +273,7 @@ def solve_robots(
                         x += rotation[0, j] * layout[led, j]
                         y += rotation[1, j] * layout[led, j]
                         z += rotation[2, j] * layout[led, j]
-                    px, py = project_point(lens, x, y, z)
+                    px, py = project_point(lens, x + shifts[led, 0] * z, y + shifts[led, 1] * z, z)
                     residuals[robot, which, led, 0] = centres[spots[led], 0] - px
                     residuals[robot, which, led, 1] = centres[spots[led], 1] - py
 
