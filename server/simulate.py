@@ -241,12 +241,10 @@ def trace_disc(lens, centre, normal, radius, psf, nodes, weights, spokes, light)
         for k in range(spokes):
             angle = 2.0 * math.pi * (k + 0.5 * (ring % 2)) / spokes
             u, v = r * math.cos(angle), r * math.sin(angle)
-            x, y = project_point(
-                lens,
-                centre[0] + u * ax + v * bx,
-                centre[1] + u * ay + v * by,
-                centre[2] + u * az + v * bz,
-            )
+            depth = centre[2] + u * az + v * bz
+            x, y = project_point(lens, centre[0] + u * ax + v * bx, centre[1] + u * ay + v * by, depth)
+            # Radiance is the same all over the disc, so is the light on the image it covers: nearer parts cover more.
+            covers = share * (centre[2] / depth) ** 3
             last = math.erf((x0 - 0.5 - x) * scale)
             for i in range(size):
                 this = math.erf((x0 + i + 0.5 - x) * scale)
@@ -259,7 +257,7 @@ def trace_disc(lens, centre, normal, radius, psf, nodes, weights, spokes, light)
                 last = this
             for i in range(size):
                 for j in range(size):
-                    light[i, j] += share * down[i] * across[j]
+                    light[i, j] += covers * down[i] * across[j]
     return x0, y0, size, size
 
 

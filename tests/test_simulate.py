@@ -1,5 +1,7 @@
 """The simulator: its light against brute force, its truth against its images, its seed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,10 @@ RIG = load_rig(DEMO_RIG)
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 50.0])
 def test_a_disc_equals_its_points_counted_one_by_one(rng: np.random.Generator, tilt_deg: float) -> None:
-    """A million points on the disc, each projected, blurred by drawing, counted in its pixel."""
+    """A million points on the disc, each projected, blurred by drawing, counted in its pixel.
+
+    The disc is as bright seen from everywhere, so a point counts as much as the image of its surroundings is large.
+    """
     camera = make_camera()
     centre, psf, radius = np.array([0.31, -0.22, 1.1]), 0.8, 0.0025
     tilt = np.radians(tilt_deg)
@@ -28,8 +33,9 @@ def test_a_disc_equals_its_points_counted_one_by_one(rng: np.random.Generator, t
     pixels = np.rint(camera.project(points) + psf * rng.standard_normal((n, 2))).astype(int) - [x0, y0]
     counted = np.zeros((height, width))
     inside = ((pixels >= 0) & (pixels < [width, height])).all(axis=1)
-    np.add.at(counted, (pixels[inside, 1], pixels[inside, 0]), 1.0)
-    counted *= light[:height, :width].sum() / n
+    covers = (centre[2] / points[:, 2]) ** 3
+    np.add.at(counted, (pixels[inside, 1], pixels[inside, 0]), covers[inside])
+    counted *= light[:height, :width].sum() / covers.sum()
     assert inside.mean() > 0.9999
     # Some 30 000 points a pixel are counted: half a percent of noise.
     difference = light[:height, :width] - counted
@@ -41,6 +47,17 @@ def test_a_disc_equals_its_points_counted_one_by_one(rng: np.random.Generator, t
         lens_of(camera), np.array([0.0, 0.0, 1.1]), np.array([0.0, 0.0, -1.0]), 0.02, psf, *quadrature(26.0, psf), big
     )
     assert big.max() == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_disc_is_equally_bright_all_over() -> None:
+    # Its far half covers fewer pixels, not darker ones.
+    lens = lens_of(replace(make_camera(), distortion=np.zeros(5)))
+    light, tilt = np.zeros((255, 255)), np.radians(55)
+    normal = np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
+    x0, y0, _, _ = trace_disc(lens, np.array([0.0, 0.0, 0.4]), normal, 0.02, 0.8, *quadrature(80.0, 0.8), light)
+    middle = np.rint(lens[2:4]).astype(int) - [x0, y0]
+    row = light[middle[1], middle[0] - 30 : middle[0] + 31]
+    np.testing.assert_allclose(row, row[30], rtol=0.005)
 
 
 def test_frames_depend_on_seed_and_index_alone() -> None:
