@@ -2,9 +2,10 @@
 
 One robot at a time, anywhere in the image, at given distances and tilts: rendered, located alone, compared with the
 truth. The bound takes every LED's centre at its own Cramer-Rao bound (tests/bounds.py). Printed per cell: the median
-minor radius of the spots, RMSE over bound of each component (without flips), NEES (6 where covariances are honest), and
-flips (more than 5 degrees off, nearer to the other minimum), of which silent: `alternative` does not hold the truth.
-Takes minutes: the bounds are differences of rendered images.
+minor radius of the spots, RMSE over bound of each component (without flips) for the refined pose and of z and the
+rotation about x for the linear stages (`linear_pose`: by depths, by the homography) from the same spots, NEES (6 where
+covariances are honest), and flips (more than 5 degrees off, nearer to the other minimum), of which silent:
+`alternative` does not hold the truth. Takes minutes: the bounds are differences of rendered images.
 """
 
 import sys
@@ -17,7 +18,9 @@ from rich.table import Table
 
 from asterism.protocol.geometry import Floats, Pose, angle_between, exp_rotation, log_rotation
 from asterism.protocol.rig import Rig
-from asterism.server import Frame, PoseEstimate, Tracks, localize
+from asterism.server import Frame, FrameResult, PoseEstimate, Tracks, localize
+from asterism.server.lens import lens_of, undistort
+from asterism.server.linear_pose import pose_by_depths, pose_by_homography
 from asterism.server.simulate import Look, Scene, Truth
 from tests.bounds import centre_bound, pose_bound
 from tests.helpers import facing_pose
@@ -62,10 +65,29 @@ def bound_of(rig: Rig, pose: Pose, cache: dict[tuple[int, ...], Floats]) -> Floa
     return pose_bound(project, np.zeros(6), np.array(covariances))
 
 
+def error_of(found: Pose, true: Pose) -> Floats:
+    """(6,) m and rad about the camera's axes."""
+    return np.concatenate([found.position - true.position, log_rotation(found.rotation @ true.rotation.T)])
+
+
+def linear_errors(rig: Rig, result: FrameResult, answer: PoseEstimate, truth: Pose) -> list[Floats]:
+    """Errors of the two linear stages on the spots that the answer rests on; far off where they give none."""
+    robot, spots = rig.robots[0], list(answer.spots)
+    rays, ray_covariances = np.empty((len(spots), 2)), np.empty((len(spots), 3))
+    covariances = result.blobs.covariances_px2[spots]
+    undistort(lens_of(rig.camera), result.blobs.centres_px[spots], covariances, rays, ray_covariances)
+    errors = []
+    for method in (pose_by_depths, pose_by_homography):
+        T_camera_plane = method(robot.leds_plane[list(answer.leds)], rays)
+        assert T_camera_plane is not None
+        errors.append(error_of(T_camera_plane @ robot.T_robot_plane.inverse(), truth))
+    return errors
+
+
 def cell(distance: float, tilt: float, count: int, cache: dict[tuple[int, ...], Floats]) -> list[str]:
     """The figures of one distance and tilt."""
     camera = make_camera(640, 512, 1400.0)
-    errors, bounds, nees, radii = [], [], [], []
+    errors, linear, bounds, nees, radii = [], [], [], [], []
     flips = silent = located = 0
     for trial in range(count):
         rng = np.random.default_rng([round(10 * distance), round(tilt), trial])
@@ -78,7 +100,7 @@ def cell(distance: float, tilt: float, count: int, cache: dict[tuple[int, ...], 
         if not isinstance(answer, PoseEstimate):
             continue
         located += 1
-        error = np.concatenate([answer.position - pose.position, log_rotation(answer.pose.rotation @ pose.rotation.T)])
+        error = error_of(answer.pose, pose)
         radii.append(min(spot[1] for spot in spots_of(rig, pose)))
         if np.linalg.norm(error[3:]) > np.radians(5):
             other = answer.alternative
@@ -88,15 +110,19 @@ def cell(distance: float, tilt: float, count: int, cache: dict[tuple[int, ...], 
             sigma = np.sqrt(np.linalg.eigvalsh(answer.covariance[3:, 3:])[-1])
             silent += np.linalg.norm(error[3:]) > 3 * sigma
         errors.append(error)
+        linear.append(linear_errors(rig, result, answer, pose))
         bounds.append(np.diag(bound_of(rig, pose, cache)))
         nees.append(float(error @ np.linalg.solve(answer.covariance, error)))
     ratios = np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(bounds, axis=0))
+    # Both methods' z and rotation about x.
+    stages = np.sqrt(np.mean(np.square(linear), axis=0) / np.mean(bounds, axis=0))[:, [2, 3]].ravel()
     return [
         f"{distance:.1f}",
         f"{tilt:.0f}",
         f"{np.median(radii):.1f}",
         f"{located}/{count}",
         *(f"{ratio:.2f}" for ratio in ratios),
+        *(f"{ratio:.1f}" for ratio in stages),
         f"{np.mean(nees):.1f}",
         str(flips),
         str(silent),
@@ -117,6 +143,10 @@ def main(count: int) -> None:
         "rx",
         "ry",
         "rz",
+        "depths z",
+        "rx",
+        "homogr. z",
+        "rx",
         "NEES",
         "flips said",
         "silent",
@@ -125,7 +155,7 @@ def main(count: int) -> None:
     cache: dict[tuple[int, ...], Floats] = {}
     for distance, tilt in track(CELLS, description="locating", transient=True):
         table.add_row(*cell(distance, tilt, count, cache))
-    Console(width=110).print(table)
+    Console(width=140).print(table)
 
 
 if __name__ == "__main__":
