@@ -42,6 +42,17 @@ def facing_pose(
     return Pose.from_matrix(np.column_stack([x, np.cross(normal, x), normal]), position)
 
 
+def conic_centres(T_camera_plane: Pose, points: Floats, radius: float) -> Floats:
+    """Centres (n, 2), ideal rays, of the images of discs in the plane: project the outline's conic, take its centre."""
+    centres = []
+    for point in T_camera_plane.map(points):
+        plane_to_rays = np.column_stack([T_camera_plane.rotation[:, :2], point])
+        back = np.linalg.inv(plane_to_rays)
+        conic = back.T @ np.diag([1.0, 1.0, -(radius**2)]) @ back
+        centres.append(np.linalg.solve(conic[:2, :2], -conic[:2, 2]))
+    return np.array(centres)
+
+
 def assert_poses_close(a: Pose, b: Pose, position_m: float = 1e-9, rotation_rad: float = 1e-7) -> None:
     """Compare by distance and by the angle of the relative rotation, never by components."""
     away = float(np.linalg.norm(a.position - b.position))

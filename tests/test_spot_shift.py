@@ -7,21 +7,10 @@ from asterism.protocol.geometry import Floats, Pose
 from asterism.server.lens import lens_of
 from asterism.server.solve import solve_robots
 from asterism.server.spot_shift import DISC_RADIUS, OPTICS, correct_rays, spot_shifts
-from tests.helpers import assert_poses_close, facing_pose
+from tests.helpers import assert_poses_close, conic_centres, facing_pose
 from tests.rigs import make_camera, random_layout
 
 RADIUS = 0.0025
-
-
-def conic_centres(T_camera_plane: Pose, points: Floats, radius: float) -> Floats:
-    """Centres (n, 2), ideal rays, of the images of discs in the plane: project the outline's conic, take its centre."""
-    centres = []
-    for point in T_camera_plane.map(points):
-        plane_to_rays = np.column_stack([T_camera_plane.rotation[:, :2], point])
-        back = np.linalg.inv(plane_to_rays)
-        conic = back.T @ np.diag([1.0, 1.0, -(radius**2)]) @ back
-        centres.append(np.linalg.solve(conic[:2, :2], -conic[:2, 2]))
-    return np.array(centres)
 
 
 def optics(radius: float) -> Floats:
