@@ -105,7 +105,7 @@ class Alternative(_message.Message):
     def __init__(self, pose: _Optional[_Union[Pose, _Mapping]] = ..., odds: _Optional[float] = ...) -> None: ...
 
 class RobotReport(_message.Message):
-    __slots__ = ("id", "state", "reason", "pose", "covariance", "leds", "rms_px", "led", "spot", "residual_x", "residual_y", "alternative", "points")
+    __slots__ = ("id", "state", "reason", "pose", "covariance", "leds", "rms_px", "led", "spot", "residual_x", "residual_y", "alternative", "points", "smoothed_by")
     class PointsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -126,6 +126,7 @@ class RobotReport(_message.Message):
     RESIDUAL_Y_FIELD_NUMBER: _ClassVar[int]
     ALTERNATIVE_FIELD_NUMBER: _ClassVar[int]
     POINTS_FIELD_NUMBER: _ClassVar[int]
+    SMOOTHED_BY_FIELD_NUMBER: _ClassVar[int]
     id: str
     state: State
     reason: str
@@ -139,7 +140,8 @@ class RobotReport(_message.Message):
     residual_y: _containers.RepeatedScalarFieldContainer[float]
     alternative: Alternative
     points: _containers.MessageMap[str, Vector3]
-    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[State, str]] = ..., reason: _Optional[str] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., leds: _Optional[int] = ..., rms_px: _Optional[float] = ..., led: _Optional[_Iterable[int]] = ..., spot: _Optional[_Iterable[int]] = ..., residual_x: _Optional[_Iterable[float]] = ..., residual_y: _Optional[_Iterable[float]] = ..., alternative: _Optional[_Union[Alternative, _Mapping]] = ..., points: _Optional[_Mapping[str, Vector3]] = ...) -> None: ...
+    smoothed_by: str
+    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[State, str]] = ..., reason: _Optional[str] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., leds: _Optional[int] = ..., rms_px: _Optional[float] = ..., led: _Optional[_Iterable[int]] = ..., spot: _Optional[_Iterable[int]] = ..., residual_x: _Optional[_Iterable[float]] = ..., residual_y: _Optional[_Iterable[float]] = ..., alternative: _Optional[_Union[Alternative, _Mapping]] = ..., points: _Optional[_Mapping[str, Vector3]] = ..., smoothed_by: _Optional[str] = ...) -> None: ...
 
 class FrameReport(_message.Message):
     __slots__ = ("sequence", "exposed_ns", "arrived_ns", "solved_ns", "published_ns", "frame_id", "spots", "robots")

@@ -72,6 +72,9 @@ def encode_odometry(told: RobotPose) -> bytes:
         ("published_ns", str(told.published_ns)),
     ):
         message.metadata.add(key=key, value=value)
+    if told.smoothed_by:
+        message.metadata.add(key="smoothed", value="true")
+        message.metadata.add(key="filter", value=told.smoothed_by)
     return to_bytes(message)
 
 
@@ -93,6 +96,7 @@ def decode_odometry(payload: bytes) -> RobotPose:
             sequence=int(metadata["sequence"]),
             exposed_ns=_nanoseconds(message.timestamp),
             published_ns=int(metadata["published_ns"]),
+            smoothed_by=metadata.get("filter", ""),
         )
     except (DecodeError, KeyError, ValueError, AssertionError) as error:
         raise InputError(f"odometry message: {len(payload)} bytes that are no pose of Asterism ({error})") from None

@@ -3,7 +3,7 @@
 One FrameResult becomes some of these once; they are published, recorded and replayed byte for byte.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 
 from asterism.protocol import asterism_pb2 as pb
@@ -53,7 +53,8 @@ class RobotPose:
     """One robot in one frame, as its odometry message tells it.
 
     ``pose`` is T_<frame_id>_<robot>; ``covariance`` (6, 6) in m and rad: x, y, z, rotation about x, y, z of the
-    parent frame; ``state`` is TRACKED or TILT_AMBIGUOUS.
+    parent frame; ``state`` is TRACKED or TILT_AMBIGUOUS; ``smoothed_by`` names the filter that joined the pose to those
+    of frames before, empty where the pose rests on this frame alone.
     """
 
     robot: str
@@ -66,6 +67,7 @@ class RobotPose:
     sequence: int
     exposed_ns: int
     published_ns: int
+    smoothed_by: str = field(default="", kw_only=True)
 
     @property
     def position(self) -> Floats:

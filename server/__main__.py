@@ -54,6 +54,11 @@ def _parser() -> argparse.ArgumentParser:
             part.add_argument("--connect", metavar="EP", help=f"where the server is: {_ENDPOINT}")
         part.add_argument("--zenoh", metavar="FILE", type=Path, help="any zenoh options, as JSON5")
 
+    def smoothing(part: argparse.ArgumentParser) -> None:
+        part.add_argument(
+            "--smooth", action="store_true", help="join poses to those before by a motion model, and label them so"
+        )
+
     demo = command(
         "demo",
         "simulated camera, five robots on a curved surface: serve, record, watch",
@@ -64,6 +69,7 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument(
         "--record", metavar="DIR", type=Path, default=Path("recordings-demo"), help="default: recordings-demo"
     )
+    smoothing(demo)
     network(demo, server=True)
 
     serve = command(
@@ -85,6 +91,7 @@ def _parser() -> argparse.ArgumentParser:
         help="every frame, every Nth, none (default: all)",
     )
     serve.add_argument("--rerun", action="store_true", help="show everything in the rerun viewer while it happens")
+    smoothing(serve)
     network(serve, server=True)
 
     locate = command(
@@ -99,6 +106,7 @@ def _parser() -> argparse.ArgumentParser:
         "-o", "--out", metavar="OUT", type=Path, required=True, help="where the lines go; - for the terminal"
     )
     locate.add_argument("--independent", action="store_true", help="each frame alone, without what came before")
+    smoothing(locate)
 
     watch = command(
         "watch",

@@ -5,10 +5,11 @@ from the plane, is left out) and the rays (k, 2) = (x / z, y / z) of its LEDs in
 T_camera_plane, or None where layout or rays lie on one line, or no plane before the camera explains them. Both raise
 InputError for arrays of other shapes.
 
-Both are exact without noise and know no start. With noise they are 3 (0.8 m, 15 degrees) to 30 times (2 m, 60 degrees)
-the Cramer-Rao bound, since they spend two further degrees of freedom on the perspective, which is hardly visible; they
-give one of the plane's two tilts, and no covariance. So they are where a pose may start from, never what is published:
-refine it (`planar.refine_pose`), and the other minimum as well. `python -m tests.measure.poses` shows all three.
+Both are exact without noise and know no start. With noise their errors are 2 (0.8 m, frontal) to 70 times (2 m, 60
+degrees) the Cramer-Rao bound, since they spend two further degrees of freedom on the perspective, which is hardly
+visible; they give one of the plane's two tilts, and no covariance. So they are where a pose may start from, never what
+is published: refine it (`planar.refine_pose`), and the other minimum as well. `python -m tests.measure.poses` shows
+all three.
 """
 
 import numpy as np

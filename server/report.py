@@ -28,6 +28,7 @@ def report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int, publishe
                 sequence=result.index,
                 exposed_ns=result.exposed_ns,
                 published_ns=published_ns,
+                smoothed_by=answer.smoothed_by,
             )
             key = keys.odometry(rig.camera.name, robot_id)
             messages.append(
@@ -70,6 +71,7 @@ def frame_report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int, pu
         entry.covariance.extend(answer.covariance.ravel().tolist())
         entry.leds = len(answer.leds)
         entry.rms_px = answer.rms_px
+        entry.smoothed_by = answer.smoothed_by
         entry.led.extend(answer.leds)
         entry.spot.extend(answer.spots)
         entry.residual_x.extend(answer.residuals_px[:, 0].tolist())

@@ -15,6 +15,7 @@ from asterism.server.health import Health
 from asterism.server.pipeline import localize
 from asterism.server.publish import Publisher
 from asterism.server.report import report
+from asterism.server.smooth import Motions, smooth
 from asterism.server.solve import PoseEstimate
 from asterism.server.sources import Camera, Source, paced
 from asterism.server.threads import Feed, Ticker
@@ -70,10 +71,12 @@ def serve(
     stop: Stop,
     rate_hz: float | None = None,
     sinks: tuple[Sink, ...] = (),
+    smoothed: bool = False,
 ) -> Summary:
     """Localize, publish and record every frame until the source ends or ``stop`` is set.
 
-    ``rate_hz`` plays images and videos at another rate than their own. Raises what the source raises; what was
+    ``rate_hz`` plays images and videos at another rate than their own; ``smoothed`` publishes poses that `smooth` has
+    joined to those before. Raises what the source raises; what was
     recorded by then is kept.
     """
     health = Health(rig.camera.name, source.name)
@@ -99,7 +102,7 @@ def serve(
 
         ticker = Ticker(tell_status, STATUS_EVERY_S)
         stack.callback(ticker.close)
-        _loop(rig, feed, publisher, recorder, stop, health, sinks)
+        _loop(rig, feed, publisher, recorder, stop, health, sinks, smoothed)
         dropped = feed.dropped
     return Summary(
         health.frames,
@@ -118,8 +121,9 @@ def _loop(
     stop: Stop,
     health: Health,
     sinks: tuple[Sink, ...],
+    smoothed: bool,
 ) -> None:
-    tracks = Tracks.none()
+    tracks, motions = Tracks.none(), Motions.none()
     while not stop():
         frame = feed.next(SILENT_S)
         if frame is None:
@@ -128,6 +132,8 @@ def _loop(
             publisher.show_visible(())
             continue
         result, tracks = localize(frame, rig, tracks)
+        if smoothed:
+            result, motions = smooth(result, motions)
         solved_ns = time.time_ns()
         messages = report(frame, result, rig, solved_ns, time.time_ns())
         publisher.publish(messages)

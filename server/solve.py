@@ -55,6 +55,7 @@ class PoseEstimate:
     ``position`` and ``orientation`` are T_world_robot (T_camera_robot where the rig places no camera); ``covariance``
     (6, 6) in m and rad: x, y, z, rotation about x, y, z of the parent frame. ``leds`` (k,) are the LEDs it rests on,
     ``spots`` (k,) the rows of the frame's blobs they are, ``residuals_px`` (k, 2) observed minus predicted.
+    ``smoothed_by`` names the filter (`smooth`) that changed pose and covariance; empty: they rest on this frame.
     """
 
     position: Floats  # (3,) m
@@ -65,6 +66,7 @@ class PoseEstimate:
     residuals_px: Floats
     rms_px: float
     alternative: Alternative | None
+    smoothed_by: str = ""
 
     @property
     def pose(self) -> Pose:

@@ -112,6 +112,7 @@ def test_bad_input_gets_one_sentence_and_exit_code_2(
         (("locate", DEMO_RIG, tmp_path / "none", "-o", out), "there is no such source"),
         (("locate", DEMO_RIG, "sim", "-o", out), "sim: has no end; locate takes a folder"),
         (("locate", DEMO_RIG, frames, "-o", tmp_path / "no" / "x"), "cannot be written"),
+        (("locate", DEMO_RIG, frames, "-o", out, "--smooth", "--independent"), "--independent and --smooth exclude"),
         (("locate", DEMO_RIG, frames), "the following arguments are required: -o"),
         (("serve", DEMO_RIG, frames, "--listen", "here"), "endpoint 'here': expected PROTOCOL/ADDRESS"),
         (

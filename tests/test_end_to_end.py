@@ -103,6 +103,35 @@ def test_the_recorded_frames_solved_again_give_the_same_poses(
             np.testing.assert_array_equal(robot["position"], told[robot["id"], sequence]["position"])
 
 
+def test_smoothed_poses_are_another_thing_and_say_so(film: Path, tmp_path: Path) -> None:
+    told = []
+    for options in ((), ("--smooth",)):
+        out = tmp_path / "poses.jsonl"
+        assert asterism("locate", film / "rig.yaml", film / "frames", "-o", out, *options).returncode == 0
+        told.append([json.loads(line) for line in out.read_text().splitlines()])
+    for plain, smoothed in zip(*told, strict=True):
+        assert plain["lost"] == smoothed["lost"]
+        for before, after in zip(plain["robots"], smoothed["robots"], strict=True):
+            assert "smoothed" not in before
+            assert after["smoothed"] is True
+            assert before["rms_px"] == after["rms_px"]
+            away = np.linalg.norm(np.subtract(before["position"], after["position"]))
+            assert away < 2e-3
+            assert away > 0 or plain["exposed_ns"] == told[0][0]["exposed_ns"]
+
+
+def test_a_server_that_smooths_says_so_on_the_wire(film: Path, tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with running(
+        "serve", film / "rig.yaml", film / "frames", "--listen", endpoint, "--rate", "60", "--smooth"
+    ) as server:
+        received = Subscriber(endpoint, tmp_path / "received.jsonl").finish()
+        assert server.wait(timeout=60) == 0
+    poses = [entry for entry in received if "robot" in entry]
+    assert poses
+    assert all(entry["metadata"]["smoothed"] == "true" and entry["metadata"]["filter"] for entry in poses)
+
+
 def test_locate_writes_what_the_design_says(film: Path, tmp_path: Path) -> None:
     done = asterism("locate", film / "rig.yaml", film / "frames", "-o", tmp_path / "poses.jsonl", "--independent")
     assert done.returncode == 0, done.stderr

@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
                 stack.callback(timer.cancel)
             with stop_on_signals(stop):
                 began = time.monotonic()
-                summary = serve(rig, source, publisher, recorder, stop)
+                summary = serve(rig, source, publisher, recorder, stop, smoothed=options.smooth)
                 seconds = time.monotonic() - began
         finally:
             drawn.set()

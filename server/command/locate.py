@@ -15,6 +15,7 @@ from asterism.server.command.progress import progress
 from asterism.server.command.say import say, say_warnings
 from asterism.server.frame import Frame, FrameResult
 from asterism.server.pipeline import localize
+from asterism.server.smooth import Motions, smooth
 from asterism.server.solve import PoseEstimate
 from asterism.server.sources import open_source
 from asterism.server.track import Tracks
@@ -23,6 +24,8 @@ from asterism.server.warm_up import warm_up
 
 def run(options: argparse.Namespace) -> int:
     """Localize every frame; nothing is waited for, nothing is dropped."""
+    if options.independent and options.smooth:
+        raise InputError("--independent and --smooth exclude each other: each frame alone, or joined to those before")
     rig = load_rig(options.rig)
     say_warnings(rig)
     if options.source == "sim" or options.source.isdigit() or options.source.startswith("/dev/video"):
@@ -33,12 +36,14 @@ def run(options: argparse.Namespace) -> int:
     source = open_source(options.source, rig, say)
     warm_up()
     encoder = msgspec.json.Encoder()
-    tracks = Tracks.none()
+    tracks, motions = Tracks.none(), Motions.none()
     with _output(options.out) as out:
         for frame in progress(source.frames(), source.length, "localizing"):
             result, after = localize(frame, rig, tracks)
             if not options.independent:
                 tracks = after
+            if options.smooth:
+                result, motions = smooth(result, motions)
             try:
                 out.write(encoder.encode(line(frame, result)) + b"\n")
             except OSError as error:
@@ -58,17 +63,18 @@ def line(frame: Frame, result: FrameResult) -> dict[str, Any]:
         alternative = None
         if answer.alternative is not None:
             alternative = {**_pose(answer.alternative.pose), "odds": answer.alternative.odds}
-        robots.append(
-            {
-                "id": robot,
-                "state": answer.state,
-                **_pose(answer.pose),
-                "covariance": answer.covariance.ravel().tolist(),
-                "leds": len(answer.leds),
-                "rms_px": answer.rms_px,
-                "alternative": alternative,
-            }
-        )
+        told = {
+            "id": robot,
+            "state": answer.state,
+            **_pose(answer.pose),
+            "covariance": answer.covariance.ravel().tolist(),
+            "leds": len(answer.leds),
+            "rms_px": answer.rms_px,
+            "alternative": alternative,
+        }
+        if answer.smoothed_by:
+            told |= {"smoothed": True, "filter": answer.smoothed_by}
+        robots.append(told)
     return {"frame": frame.name, "exposed_ns": frame.exposed_ns, "robots": robots, "lost": lost}
 
 

@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
         summary = None
         try:
             with stop_on_signals(stop):
-                summary = serve(rig, source, publisher, recorder, stop, options.rate, sinks)
+                summary = serve(rig, source, publisher, recorder, stop, options.rate, sinks, options.smooth)
         finally:
             if recorder is not None:
                 ending = {} if summary is None else {"frames": str(summary.frames), "dropped": str(summary.dropped)}
