@@ -113,9 +113,10 @@ def cell(distance: float, tilt: float, count: int, cache: dict[tuple[int, ...], 
         linear.append(linear_errors(rig, result, answer, pose))
         bounds.append(np.diag(bound_of(rig, pose, cache)))
         nees.append(float(error @ np.linalg.solve(answer.covariance, error)))
-    ratios = np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(bounds, axis=0))
+    # Each error over its own bound: poses of one cell differ in how well they are determined.
+    ratios = np.sqrt(np.mean(np.square(errors) / bounds, axis=0))
     # Both methods' z and rotation about x.
-    stages = np.sqrt(np.mean(np.square(linear), axis=0) / np.mean(bounds, axis=0))[:, [2, 3]].ravel()
+    stages = np.sqrt(np.mean(np.square(linear) / np.array(bounds)[:, None], axis=0))[:, [2, 3]].ravel()
     return [
         f"{distance:.1f}",
         f"{tilt:.0f}",
