@@ -1,8 +1,8 @@
 """From labelled spots to a pose: both minima of the plane refined, the likelier chosen, both kept with their odds.
 
 Rays are corrected for what shifts an LED's spot (`spot_shift`) at the pose they lead to, each minimum for itself.
-Covariances are those of the spots carried through the refined pose; where the residuals are larger than the spots'
-own noise allows (calibration, LED positions), what is missing is estimated from them and added to every spot first.
+Covariances are those of the spots carried through the refined pose; what the residuals say is missing in the spots'
+own noise (calibration, LED positions) is estimated from them and added to every spot first.
 """
 
 import math
@@ -29,6 +29,10 @@ FEW = 3  # iterations, after which a second minimum that costs more than the fir
 HOPELESS = 80.0  # squared sigmas: odds of e^40
 ODD = 10.0  # how many times worse six LEDs fit than five before the sixth is left out
 CLEARLY_OFF = 3.0  # times the surprising cost: if five LEDs then fit without surprise, the sixth is left out as well
+NO_SYSTEMATIC = 20.0  # odds, before a look at the residuals, that the spots' own noise is the whole story
+LEAST_SYSTEMATIC_PX = 0.002  # and from where on, in doublings, it is not: calibration, LED positions
+SYSTEMATIC_STEPS = 9
+NEGLIGIBLE = 0.02  # of a spot's own variance
 LEAST_SIGMA_PX = 0.001  # no centre is known better than this
 # 99.9 % of chi squared for 2, 4 and 6 degrees of freedom: beyond it the spots' noise is not the whole story.
 _SURPRISE = np.array([0.0, 0.0, 0.0, 0.0, 13.8, 18.5, 22.5])
@@ -119,17 +123,44 @@ def _gather(
 
 
 @compiled
-def _squared_residuals(rotation, t, points, seen):
-    """Sum of the squared residuals, ray units."""
-    total = 0.0
-    for k in range(points.shape[0]):
-        x, y, z = t[0], t[1], t[2]
-        for j in range(3):
-            x += rotation[0, j] * points[k, j]
-            y += rotation[1, j] * points[k, j]
-            z += rotation[2, j] * points[k, j]
-        total += (seen[k, 0] - x / z) ** 2 + (seen[k, 1] - y / z) ** 2
-    return total
+def _systematic(rotation, t, points, seen, information, focal):
+    """What residuals say of a variance, ray units, that every spot has beyond its own: its posterior mean.
+
+    Before, it is none with odds NO_SYSTEMATIC to 1, else anything from LEAST_SYSTEMATIC_PX on, evenly by its logarithm.
+    The likelihood is that of residuals with 2 n - 6 degrees of freedom. A mean, since with so few of them the most
+    likely value is often far too small, and errors weighted by it far too large.
+    """
+    n = points.shape[0]
+    per_log_det = (2 * n - 6) / (2.0 * n)
+    step = (LEAST_SYSTEMATIC_PX / focal) ** 2
+    logs, variances = np.empty(SYSTEMATIC_STEPS + 1), np.zeros(SYSTEMATIC_STEPS + 1)
+    for k in range(SYSTEMATIC_STEPS + 1):
+        if k > 0:
+            variances[k] = step
+            step *= 4.0
+        total = 0.0
+        for i in range(n):
+            x, y, z = t[0], t[1], t[2]
+            for j in range(3):
+                x += rotation[0, j] * points[i, j]
+                y += rotation[1, j] * points[i, j]
+                z += rotation[2, j] * points[i, j]
+            e, f = seen[i, 0] - x / z, seen[i, 1] - y / z
+            det = information[i, 0] * information[i, 2] - information[i, 1] ** 2
+            xx = information[i, 2] / det + variances[k]
+            xy = -information[i, 1] / det
+            yy = information[i, 0] / det + variances[k]
+            det = xx * yy - xy * xy
+            total += (yy * e * e - 2.0 * xy * e * f + xx * f * f) / det + per_log_det * math.log(det)
+        logs[k] = -0.5 * total
+    logs[0] += math.log(NO_SYSTEMATIC * SYSTEMATIC_STEPS)
+    most = logs.max()
+    weight = mean = 0.0
+    for k in range(SYSTEMATIC_STEPS + 1):
+        likely = math.exp(logs[k] - most)
+        weight += likely
+        mean += likely * variances[k]
+    return mean / weight
 
 
 @compiled
@@ -245,10 +276,12 @@ def solve_robots(
                             focal, ITERATIONS,
                         )  # fmt: skip
             better = 0 if both_costs[0] <= both_costs[1] else 1
-            if attempt == 1 or both_costs[better] <= _SURPRISE[count] or both_costs[better] >= NO_SOLUTION:
+            if attempt == 1 or both_costs[better] >= NO_SOLUTION:
                 break
             # Residuals beyond the spots' noise: whatever causes them counts as noise of every spot.
-            extra = _squared_residuals(both[better], both_t[better], p, seen[better, :count]) / (2 * count - 6)
+            extra = _systematic(both[better], both_t[better], p, seen[better, :count], w, focal)
+            if extra * (w[:, 0].max() + w[:, 2].max()) < NEGLIGIBLE:
+                break
         for which in range(2):
             rotation, t = both[which], both_t[which]
             towards = 0.0
