@@ -28,6 +28,7 @@ ITERATIONS = 12
 FEW = 3  # iterations, after which a second minimum that costs more than the first by HOPELESS is good enough
 HOPELESS = 80.0  # squared sigmas: odds of e^40
 ODD = 10.0  # how many times worse six LEDs fit than five before the sixth is left out
+ODD_BEFORE, ODD_AREA_PX2 = 0.01, 30.0  # how often other light moves a spot, and over what area
 CLEARLY_OFF = 3.0  # times the surprising cost: if five LEDs then fit without surprise, the sixth is left out as well
 NO_SYSTEMATIC = 20.0  # odds, before a look at the residuals, that the spots' own noise is the whole story
 LEAST_SYSTEMATIC_PX = 0.002  # and from where on, in doublings, it is not: calibration, LED positions
@@ -124,7 +125,12 @@ def _gather(
 
 @compiled
 def _systematic(rotation, t, points, seen, information, focal):
-    """What residuals say of a variance, ray units, that every spot has beyond its own: its posterior mean.
+    """What residuals say of a variance, ray units, that every spot has beyond its own, and for the pose itself.
+
+    Returns the variance's posterior mean, and the pose's cost: minus twice the logarithm of how likely the residuals
+    are with every such variance there may be, chi squared where the spots' own noise explains them. Of two poses
+    neither of which fits on that noise, the better is hardly more likely than the other, however much chi squared
+    tells them apart.
 
     Before, it is none with odds NO_SYSTEMATIC to 1, else anything from LEAST_SYSTEMATIC_PX on, evenly by its logarithm.
     The likelihood is that of residuals with 2 n - 6 degrees of freedom. A mean, since with so few of them the most
@@ -132,6 +138,7 @@ def _systematic(rotation, t, points, seen, information, focal):
     """
     n = points.shape[0]
     per_log_det = (2 * n - 6) / (2.0 * n)
+    own = 0.0
     step = (LEAST_SYSTEMATIC_PX / focal) ** 2
     logs, variances = np.empty(SYSTEMATIC_STEPS + 1), np.zeros(SYSTEMATIC_STEPS + 1)
     for k in range(SYSTEMATIC_STEPS + 1):
@@ -151,16 +158,19 @@ def _systematic(rotation, t, points, seen, information, focal):
             xy = -information[i, 1] / det
             yy = information[i, 0] / det + variances[k]
             det = xx * yy - xy * xy
+            if k == 0:
+                own += per_log_det * math.log(det)
             total += (yy * e * e - 2.0 * xy * e * f + xx * f * f) / det + per_log_det * math.log(det)
         logs[k] = -0.5 * total
     logs[0] += math.log(NO_SYSTEMATIC * SYSTEMATIC_STEPS)
+    prior = (NO_SYSTEMATIC + 1.0) * SYSTEMATIC_STEPS
     most = logs.max()
     weight = mean = 0.0
     for k in range(SYSTEMATIC_STEPS + 1):
         likely = math.exp(logs[k] - most)
         weight += likely
         mean += likely * variances[k]
-    return mean / weight
+    return mean / weight, -2.0 * (most + math.log(weight / prior)) - own
 
 
 @compiled
@@ -168,6 +178,8 @@ def _odd_led(layout, spots, rays, ray_covariances, shifts, start_rotation, start
     """The LED of six whose spot is not where the other five say, or -1: other light may have moved it.
 
     The start is changed to the pose refined on all six, where they agree. ``shifts`` (6, 2) are those at the start.
+    Of six spots that are all a little off, some five always fit better than all; so one is odd only if that is likelier
+    than that all are off.
     """
     points, seen, information = np.empty((LEDS, 3)), np.empty((LEDS, 2)), np.empty((LEDS, 3))
     applied = np.empty((LEDS, 2))
@@ -175,6 +187,7 @@ def _odd_led(layout, spots, rays, ray_covariances, shifts, start_rotation, start
     trial = np.empty(LEDS, np.int64)
     both, both_t, both_costs = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty(2)
     best_led, best_cost, whole_cost = -1, NO_SOLUTION, NO_SOLUTION
+    best_unlikely = whole_unlikely = NO_SOLUTION
     for without in range(-1, LEDS):
         trial[:] = spots
         if without >= 0:
@@ -201,15 +214,24 @@ def _odd_led(layout, spots, rays, ray_covariances, shifts, start_rotation, start
             whole_cost = cost
         # The start may be the wrong tilt, which the odd spot made the better one.
         solve_both(points[:count], seen[:count], information[:count], ITERATIONS, True, both, both_t, both_costs)
-        cost = min(cost, both_costs[0], both_costs[1])
+        for which in range(2):
+            if both_costs[which] < cost:
+                cost = both_costs[which]
+                rotation[:, :] = both[which]
+                t[:] = both_t[which]
+        _, unlikely = _systematic(rotation, t, points[:count], seen[:count], information[:count], focal)
         if without < 0:
-            whole_cost = cost
+            whole_cost, whole_unlikely = cost, unlikely
         elif cost < best_cost:
-            best_led, best_cost = without, cost
+            best_led, best_cost, best_unlikely = without, cost, unlikely
     # Compared per degree of freedom: six LEDs leave six, five leave four.
     much_worse = ODD * best_cost / 4.0 < whole_cost / 6.0
     only_one_off = best_cost <= _SURPRISE[LEDS - 1] and whole_cost > CLEARLY_OFF * _SURPRISE[LEDS]
-    return best_led if much_worse or only_one_off else -1
+    odd = ray_covariances[spots[best_led]]
+    area = 2.0 * math.pi * math.sqrt(max(odd[0] * odd[2] - odd[1] * odd[1], 0.0)) * focal * focal
+    best_unlikely -= 2.0 * math.log(ODD_BEFORE * max(area, LEAST_SIGMA_PX**2) / ODD_AREA_PX2)
+    likelier = best_unlikely < whole_unlikely
+    return best_led if likelier and (much_worse or only_one_off) else -1
 
 
 @compiled
@@ -225,10 +247,11 @@ def solve_robots(
     ``optics`` (m, OPTICS) as in `spot_shift`.
 
     Fills, for both minima of every robot, ``rotations`` (m, 2, 3, 3) and ``ts`` (m, 2, 3) = T_camera_plane,
-    ``costs`` (m, 2) (chi squared; NO_SOLUTION where there is none or it faces away), ``covariances`` (m, 2, 6, 6) of
-    the plane's origin (m) and rotation about the camera's axes (rad), ``residuals`` (m, 2, 6, 2) px.
+    ``costs`` (m, 2) (as `_systematic`; NO_SOLUTION where there is none or it faces away), ``covariances``
+    (m, 2, 6, 6) of the plane's origin (m) and rotation about the camera's axes (rad), ``residuals`` (m, 2, 6, 2) px.
     """
     points, information, shifts = np.empty((LEDS, 3)), np.empty((LEDS, 3)), np.empty((LEDS, 2))
+    own = np.empty((LEDS, 3))  # information of the spots' own noise
     # Either minimum has its own shifts.
     seen, applied = np.empty((2, LEDS, 2)), np.empty((2, LEDS, 2))
     centre, arm, a, b = np.empty(3), np.empty(3), np.empty((6, 6)), np.empty(6)
@@ -279,7 +302,8 @@ def solve_robots(
             if attempt == 1 or both_costs[better] >= NO_SOLUTION:
                 break
             # Residuals beyond the spots' noise: whatever causes them counts as noise of every spot.
-            extra = _systematic(both[better], both_t[better], p, seen[better, :count], w, focal)
+            own[:count] = w
+            extra, _ = _systematic(both[better], both_t[better], p, seen[better, :count], w, focal)
             if extra * (w[:, 0].max() + w[:, 2].max()) < NEGLIGIBLE:
                 break
         for which in range(2):
@@ -290,6 +314,7 @@ def solve_robots(
             if both_costs[which] >= NO_SOLUTION or towards >= 0.0:
                 both_costs[which] = NO_SOLUTION
                 continue
+            _, both_costs[which] = _systematic(rotation, t, p, seen[which, :count], own[:count], focal)
             normal_equations(rotation, t, p, seen[which, :count], w, a, b)
             _invert(a, covariances[robot, which])
             # From the visible LEDs' mean back to the plane's origin: t -= R centre, with the rotation's share.

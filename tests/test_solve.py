@@ -52,11 +52,12 @@ def test_with_the_spots_own_noise_alone_the_weighted_squared_error_averages_six(
     assert 4.9 < nees(rng, hidden, 0.0)[0].mean() < 6.4
 
 
+@pytest.mark.parametrize("hidden", [0, 1])
 @pytest.mark.parametrize("led_error_m", [5e-5, 2e-4])
 def test_leds_that_are_not_where_the_rig_says_widen_the_covariance(
-    rng: np.random.Generator, led_error_m: float
+    rng: np.random.Generator, led_error_m: float, hidden: int
 ) -> None:
-    weighted, rms = nees(rng, 1, led_error_m)
+    weighted, rms = nees(rng, hidden, led_error_m)
     # Ten and forty times the spots' noise: on that alone the squared error would average a hundred times as much. Four
     # degrees of freedom tell little of each robot's own, so it is six within a factor.
     assert 2.0 < np.median(weighted) < 6.0
