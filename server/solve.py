@@ -137,31 +137,27 @@ def _systematic(rotation, t, points, seen, information, focal):
     likely value is often far too small, and errors weighted by it far too large.
     """
     n = points.shape[0]
-    per_log_det = (2 * n - 6) / (2.0 * n)
-    own = 0.0
-    step = (LEAST_SYSTEMATIC_PX / focal) ** 2
-    logs, variances = np.empty(SYSTEMATIC_STEPS + 1), np.zeros(SYSTEMATIC_STEPS + 1)
-    for k in range(SYSTEMATIC_STEPS + 1):
-        if k > 0:
-            variances[k] = step
-            step *= 4.0
-        total = 0.0
-        for i in range(n):
-            x, y, z = t[0], t[1], t[2]
-            for j in range(3):
-                x += rotation[0, j] * points[i, j]
-                y += rotation[1, j] * points[i, j]
-                z += rotation[2, j] * points[i, j]
-            e, f = seen[i, 0] - x / z, seen[i, 1] - y / z
-            det = information[i, 0] * information[i, 2] - information[i, 1] ** 2
-            xx = information[i, 2] / det + variances[k]
-            xy = -information[i, 1] / det
-            yy = information[i, 0] / det + variances[k]
+    # Squared residuals over all variances, and the product of the determinants over those of the spots' own noise.
+    squares, growth = np.zeros(SYSTEMATIC_STEPS + 1), np.ones(SYSTEMATIC_STEPS + 1)
+    variances = np.zeros(SYSTEMATIC_STEPS + 1)
+    variances[1] = (LEAST_SYSTEMATIC_PX / focal) ** 2
+    for k in range(2, SYSTEMATIC_STEPS + 1):
+        variances[k] = 4.0 * variances[k - 1]
+    for i in range(n):
+        x, y, z = t[0], t[1], t[2]
+        for j in range(3):
+            x += rotation[0, j] * points[i, j]
+            y += rotation[1, j] * points[i, j]
+            z += rotation[2, j] * points[i, j]
+        e, f = seen[i, 0] - x / z, seen[i, 1] - y / z
+        per_det = information[i, 0] * information[i, 2] - information[i, 1] ** 2
+        own_xx, xy, own_yy = information[i, 2] / per_det, -information[i, 1] / per_det, information[i, 0] / per_det
+        for k in range(SYSTEMATIC_STEPS + 1):
+            xx, yy = own_xx + variances[k], own_yy + variances[k]
             det = xx * yy - xy * xy
-            if k == 0:
-                own += per_log_det * math.log(det)
-            total += (yy * e * e - 2.0 * xy * e * f + xx * f * f) / det + per_log_det * math.log(det)
-        logs[k] = -0.5 * total
+            squares[k] += (yy * e * e - 2.0 * xy * e * f + xx * f * f) / det
+            growth[k] *= det * per_det
+    logs = -0.5 * (squares + (2 * n - 6) / (2.0 * n) * np.log(growth))
     logs[0] += math.log(NO_SYSTEMATIC * SYSTEMATIC_STEPS)
     prior = (NO_SYSTEMATIC + 1.0) * SYSTEMATIC_STEPS
     most = logs.max()
@@ -170,7 +166,7 @@ def _systematic(rotation, t, points, seen, information, focal):
         likely = math.exp(logs[k] - most)
         weight += likely
         mean += likely * variances[k]
-    return mean / weight, -2.0 * (most + math.log(weight / prior)) - own
+    return mean / weight, -2.0 * (most + math.log(weight / prior))
 
 
 @compiled
