@@ -154,3 +154,26 @@ def test_a_dim_mirror_image_beside_an_led_is_said_or_removed(rng: np.random.Gene
         after.append(np.abs(blobs.centres_px[row] - [x, y]).max())
     assert np.percentile(before, 90) < 4.0
     assert np.median(after) < 0.08
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="one lone LED in some 300 is taken for one that other light leans on, since its misfit is above 1.6 by "
+    "chance, and fitted together with light that is not there: 0.12 and 0.18 px off instead of 0.01",
+)
+def test_a_lone_led_is_not_moved_by_light_that_is_not_there() -> None:
+    draws = np.random.default_rng(5)
+    worst = 0.0
+    for _ in range(20):
+        canvas = Canvas.of(400, 480)
+        places = []
+        for row, column in np.ndindex(5, 6):
+            x, y = 40 + 80 * column + draws.uniform(-5, 5), 40 + 80 * row + draws.uniform(-5, 5)
+            canvas.ellipse(x, y, 2.0, 1.7, draws.uniform(0, 3), level=100)
+            places.append((x, y))
+        image = canvas.expose(draws)
+        blobs = blobs_of(image)
+        refine_leaning(image, blobs.table, blobs.kept, blobs.centres_px, blobs.covariances_px2)
+        for x, y in places:
+            worst = max(worst, np.hypot(*(blobs.centres_px[blobs.kept] - [x, y]).T).min())
+    assert worst < 0.08  # five sigma of 0.015 px

@@ -83,45 +83,6 @@ def test_the_same_arguments_give_the_same_results_and_are_left_alone() -> None:
         )
 
 
-def test_the_order_of_the_robots_in_the_rig_does_not_matter() -> None:
-    scene = Scene(RIG, 4)
-    image = scene.render(0, scene.truth(0, 0.0))
-    here, there = once(image), once(image, replace(RIG, robots=RIG.robots[::-1]))
-    assert list(there.answers) == list(here.answers)[::-1]
-    for robot, answer in here.answers.items():
-        other = there.answers[robot]
-        assert isinstance(answer, PoseEstimate)
-        assert isinstance(other, PoseEstimate)
-        np.testing.assert_allclose(other.position, answer.position, atol=1e-9)
-
-
-def test_relabelled_leds_are_told_apart() -> None:
-    scene = Scene(RIG, 4)
-    truth = scene.truth(0, 0.0)
-    image = scene.render(0, truth)
-    order = [2, 4, 1, 5, 0, 3]
-    turned = replace(RIG, robots=tuple(replace_leds(robot, order) for robot in RIG.robots))
-    assert all(away < 0.002 for _, away, _, _ in errors(turned, truth, once(image, turned)))
-
-
-def replace_leds(robot: object, order: list[int]) -> object:
-    from asterism.protocol.rig import Robot
-
-    assert isinstance(robot, Robot)
-    return Robot(robot.id, robot.leds[order], robot.axis, robot.led_radius, robot.points, robot.normal)
-
-
-def test_a_brighter_lamp_in_the_room_changes_nothing() -> None:
-    scene = Scene(RIG, 5)
-    truth = scene.truth(0, 0.0)
-    image = scene.render(0, truth)
-    brighter = np.clip(image.astype(int) + 30, 0, 255).astype(np.uint8)
-    for (robot, away, _, _), (_, other, _, _) in zip(
-        errors(RIG, truth, once(image)), errors(RIG, truth, once(brighter)), strict=True
-    ):
-        assert other == pytest.approx(away, abs=2e-4), robot
-
-
 def test_one_or_two_hidden_leds() -> None:
     scene, tracks = Scene(RIG, 6, Look(hidden=0.08, glints=6)), Tracks.none()
     five_or_six = found = 0
