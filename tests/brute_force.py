@@ -15,7 +15,7 @@ from asterism.protocol.geometry import Floats
 
 # Of any six LEDs of which at most one is missing, the four of one of these are all there.
 QUADS = ((0, 1, 2, 3), (2, 3, 4, 5), (0, 1, 4, 5))
-NEAR_PX = 3.0  # of a prediction from four spots
+NEAR_PX = 10.0  # of a prediction from four spots, which is good for little where they lie unfavourably
 FITS_PX = 0.12  # root mean square residual of a pose: six times the noise of the spots that the tests make
 
 
@@ -33,19 +33,30 @@ class Explanation:
         return frozenset(self.spots) - {-1}
 
 
-def _transferred(four: Floats, fifth: Floats, images: Floats) -> Floats:
+def _weights(four: Floats) -> Floats:
+    """How much of its first three points (..., 3) the fourth of ``four`` (..., 4, 2) is, in homogeneous coordinates."""
+    points = np.concatenate([four, np.ones((*four.shape[:-1], 1))], axis=-1)
+    weights: Floats = np.linalg.solve(points[..., :3, :].swapaxes(-1, -2), points[..., 3, :, None])[..., 0]
+    return weights
+
+
+def _area(three: Floats) -> Floats:
+    """Twice the signed area (...) of triangles (..., 3, 2)."""
+    (ux, uy), (vx, vy) = np.moveaxis(three[..., 1:, :] - three[..., :1, :], (-2, -1), (0, 1))
+    area: Floats = ux * vy - uy * vx
+    return area
+
+
+def _transferred(scales: Floats, four: Floats, fifth: Floats, images: Floats) -> Floats:
     """Where the homography that maps ``four`` (4, 2) to each of ``images`` (n, 4, 2) maps ``fifth`` (2,): (n, 2).
 
-    In homogeneous coordinates: with a, b, c scaled so that they add up to d, every point has coordinates that no
-    homography changes.
+    ``scales`` (n, 3) are what it does to the third homogeneous coordinate of the first three; of the fourth's, 1.
     """
-    plane = np.column_stack([four, np.ones(4)])
-    share = np.linalg.solve(plane[:3].T, np.append(fifth, 1.0)) / np.linalg.solve(plane[:3].T, plane[3])
-    image = np.concatenate([images, np.ones((*images.shape[:2], 1))], axis=2)
-    weights = np.linalg.solve(image[:, :3].transpose(0, 2, 1), image[:, 3, :, None])[..., 0]
-    point = np.einsum("nk,nkj->nj", weights * share, image[:, :3])
+    share = np.linalg.solve(np.column_stack([four[:3], np.ones(3)]).T, np.append(fifth, 1.0))
+    weights = scales * share
     with np.errstate(divide="ignore", invalid="ignore"):
-        return point[:, :2] / point[:, 2:]
+        predicted: Floats = np.einsum("nk,nkj->nj", weights, images[:, :3]) / weights.sum(axis=1, keepdims=True)
+    return predicted
 
 
 def _residual(layout: Floats, pixels: Floats, matrix: Floats, near: float, far: float) -> float:
@@ -73,22 +84,25 @@ def explanations(layouts: Floats, pixels: Floats, focal: float, near: float, far
     """
     matrix = np.diag([focal, focal, 1.0])
     choices = np.array(list(itertools.permutations(range(len(pixels)), 4)))
-    a, b, c = (pixels[choices[:, k]] for k in range(3))
-    (ux, uy), (vx, vy) = (b - a).T, (c - a).T
-    choices = choices[np.abs(ux * vy - uy * vx) > 1.0]  # three spots on a line carry no homography
+    choices = choices[np.abs(_area(pixels[choices[:, :3]])) > 1.0]  # three spots on a line carry no homography
+    images = pixels[choices]
+    weights, areas = _weights(images), _area(images[:, :3])
     found: dict[tuple[int, tuple[int, ...]], Explanation] = {}
     for robot, layout in enumerate(layouts):
         tried = set()
         for quad in QUADS:
             others = [led for led in range(6) if led not in quad]
-            predicted = np.stack(
-                [_transferred(layout[list(quad), :2], layout[led, :2], pixels[choices]) for led in others], axis=1
-            )
+            four = layout[list(quad), :2]
+            scales = weights / _weights(four)
+            # All four before the camera, which sees the side that shines: y is down in the image.
+            good = (scales > 0).all(axis=1) & (areas * _area(four[:3]) < 0)
+            seen_as, there = choices[good], images[good]
+            predicted = np.stack([_transferred(scales[good], four, layout[led, :2], there) for led in others], axis=1)
             away = np.linalg.norm(predicted[:, :, None] - pixels, axis=-1)  # (n, 2, spots)
             nearest, gap = away.argmin(axis=2), away.min(axis=2)
             for row in np.flatnonzero((gap < NEAR_PX).any(axis=1)):
                 spots = np.full(6, -1)
-                spots[list(quad)] = choices[row]
+                spots[list(quad)] = seen_as[row]
                 near_enough = [(led, k) for k, led in enumerate(others) if gap[row, k] < NEAR_PX]
                 for chosen in (near_enough, *([one] for one in near_enough if len(near_enough) > 1)):
                     full = spots.copy()

@@ -9,7 +9,8 @@ from tests.rendering import Canvas
 from tests.test_centres import centre
 
 PHASES, EXPOSURES, BOUNDS = 24, 16, 6
-# 768 coordinates: one sigma of a root mean square is 2.6 %, three are allowed on either side.
+# 768 coordinates: one sigma of a root mean square is 2.6 %, three are allowed on either side, and below 3 % for the
+# error of the bound, which is the mean of a few phases.
 LUCK = 3 / np.sqrt(2 * 2 * PHASES * EXPOSURES)
 # RMS error over the bound, by estimator, at radii of px: the edge model's are asked for, the others' are what
 # tests/measure/centres.py measures, rounded up. The moments of `zernike` reach 3.5 px to either side of the edge: it
