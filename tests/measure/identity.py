@@ -24,7 +24,7 @@ from rich.table import Table
 from scipy.special import erf
 
 from asterism.protocol.geometry import Floats, Pose
-from asterism.protocol.rig import Rig
+from asterism.protocol.rig import Rig, Robot
 from asterism.server import Frame, Lost, PoseEstimate, Tracks, localize
 from asterism.server.lens import project_point
 from asterism.server.simulate import Look, Scene, Truth, quadrature, trace_disc
@@ -160,6 +160,11 @@ def _scene(robots: int, seed: int, range_m: tuple[float, float]) -> Scene:
     return Scene(make_rig(robots, seed, range_m=range_m), seed, LOOK)
 
 
+@lru_cache(maxsize=1)
+def _scene_of(robots: tuple[Robot, ...], seed: int) -> Scene:
+    return Scene(replace(_catalogue(), robots=robots), seed, LOOK)
+
+
 def _hide(truth: list[Truth], rng: np.random.Generator, share: float, counts: tuple[int, ...]) -> list[Truth]:
     """Hide so many LEDs of a share of the robots."""
     out = []
@@ -217,6 +222,25 @@ def strangers(number: int) -> Shot:
     return _shot(scene, number, truth, Light(scene, rng), ours)
 
 
+@lru_cache(maxsize=1)
+def _catalogue() -> Rig:
+    """Two hundred constellations; of 40 000 pairs the nearest are 4.6 mm apart."""
+    return make_rig(200, range_m=RANGES[2])
+
+
+def catalogue(number: int) -> Shot:
+    """Fifty robots in clutter: forty-five of a catalogue of two hundred, and five that it doesn't know."""
+    rng, known = np.random.default_rng([number, 13]), _catalogue()
+    unknown = make_rig(5, seed=6000)
+    some = [known.robots[k] for k in np.random.default_rng([number // BLOCK, 14]).permutation(200)[:45]]
+    robots = some + [replace(robot, id=f"s{robot.id}") for robot in unknown.robots]
+    scene = _scene_of(tuple(robots[k] for k in np.random.default_rng(15).permutation(50)), number // BLOCK)
+    truth = _hide(scene.truth(number, 1.7 * number), rng, 0.3, (1, 2))
+    light = Light(scene, rng)
+    light.clutter(150, truth)
+    return _shot(scene, number, truth, light, known)
+
+
 def touching(number: int) -> Shot:
     """Four pairs, each side by side on one plane, disc against disc (0.05 m and an LED's radius each)."""
     block, rng = number // BLOCK, np.random.default_rng([number, 11])
@@ -249,6 +273,7 @@ SCENES: dict[str, Callable[[int], Shot]] = {
     "four LEDs, no clutter": lambda k: crowd(8, k, 0.0, 1.0, (2,)),
     "strangers": strangers,
     "touching pairs": touching,
+    "50 robots, catalogue of 200": catalogue,
 }
 
 
