@@ -30,9 +30,9 @@ format: .venv/installed ## format the code and sort the imports
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: .venv/installed ## speed and accuracy beside a memory pass, a plain OpenCV chain and tag detectors; plots in bench-out/
+bench: .venv/installed ## speed and accuracy beside other programs, centres beside the Cramer-Rao bound; plots in bench-out/
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
-	$(BIN)/python -m tests.measure.speed bench-out
+	$(BIN)/python -m tests.measure.bench bench-out
 
 proto: .venv/installed ## compile protocol/asterism.proto
 	@# In an environment of its own: this compiler's code runs with every protobuf from 5.29 on, itself it wants an old one.

@@ -49,21 +49,24 @@ def row(folder: Path) -> list[str]:
     ]
 
 
-def main(folders: list[Path]) -> None:
+def samples() -> list[Path]:
+    """The folders of sample frames, none where they are not."""
+    return sorted(path.parent for path in (SHARED / "samples").glob("*/truth.json"))
+
+
+def main(folders: list[Path], console: Console) -> None:
     """Measure and print."""
     table = Table(title="each frame alone; errors are medians", box=box.SIMPLE_HEAD, pad_edge=False)
     headings = ("frames", "LEDs", "found", "wrong", "tilt", "x,y mm", "z mm", "deg", "NEES", "median")
     for heading in headings:
         table.add_column(heading, justify="left" if heading == "frames" else "right")
-    for folder in track(folders, description="locating", transient=True):
+    for folder in track(folders, description="locating", transient=True, disable=not console.is_terminal):
         table.add_row(*row(folder))
-    Console(width=100).print(table)
+    console.print(table)
 
 
 if __name__ == "__main__":
-    given = [Path(argument) for argument in sys.argv[1:]] or sorted(
-        path.parent for path in (SHARED / "samples").glob("*/truth.json")
-    )
+    given = [Path(argument) for argument in sys.argv[1:]] or samples()
     if not given:
         sys.exit(f"{SHARED / 'samples'} is not there; name folders with rig.yaml, frames/ and their truth")
-    main(given)
+    main(given, Console(width=100))

@@ -1,8 +1,9 @@
 """Time and accuracy of a frame, beside one memory pass and other programs: `python -m tests.measure.speed [OUT]`.
 
 One thread; the same frames for all (the tag detectors see the same robots with a tag on top), in forty buffers, so that
-none is in the cache from before; the contestants take turns, so that a busy machine hurts them alike. Times
-are medians. With OUT, plots of time against robots and of error against distance are written there.
+none is in the cache from before; the contestants take turns, so that a busy machine hurts them alike. Times are
+medians; "right" are poses within 20 mm and 5 degrees of the truth, and of those the z errors are medians. Errors
+against distance are those of six robots without lens distortion, each frame alone. OUT receives plots.
 """
 
 import sys
@@ -31,6 +32,15 @@ from tests.rigs import make_camera, make_rig
 
 FRAMES, RATE = 40, 60
 SIZES = {"1280x1024": (1280, 1024, 1400.0), "2448x2048": (2448, 2048, 2700.0)}
+DISTANCES = (0.8, 1.1, 1.5, 2.0, 2.6)  # m
+STEP_S = 1 / 3  # between the frames at a distance: other poses in each
+MEMORY = "one np.max over the frame"
+FOLLOWING, ALONE = "asterism, following", "asterism, each frame alone"
+PLAIN = "plain OpenCV chain, each frame alone"
+# How the plots show them.
+STYLES = {
+    FOLLOWING: "C0o-", ALONE: "C1s-", PLAIN: "C2^-", tags.Aruco.name: "C3D-", tags.AprilTags.name: "C4v-", MEMORY: "k:",
+}  # fmt: skip
 STAGES = (
     (blobs, "background_of"), (blobs, "seed_thresholds"), (blobs, "mark_hot_columns"), (blobs, "connect"),
     (blobs, "measure_spots"), (blobs, "refine_centres"), (pipeline, "_rays"), (pipeline, "identify"),
@@ -85,22 +95,19 @@ def run(rig: Rig, rounds: int, peers: bool) -> dict[str, Result]:
         tracks = Tracks.none()
         for k, image in enumerate(images):
             frame = Frame(image, exposed_ns=1 + k * 10**9 // RATE, index=k)
-            turn("one np.max over the frame", lambda image=image: np.max(image))
-            cold, after = turn("asterism, each frame alone", lambda frame=frame: localize(frame, rig, Tracks.none()))
-            results["asterism, each frame alone"].judge(found(cold), true[k])
+            turn(MEMORY, lambda image=image: np.max(image))
+            cold, after = turn(ALONE, lambda frame=frame: localize(frame, rig, Tracks.none()))
+            results[ALONE].judge(found(cold), true[k])
             if k == 0:
                 tracks = after
             else:
-                warm, tracks = turn(
-                    "asterism, following", lambda frame=frame, tracks=tracks: localize(frame, rig, tracks)
-                )
-                results["asterism, following"].judge(found(warm), true[k])
+                warm, tracks = turn(FOLLOWING, lambda frame=frame, tracks=tracks: localize(frame, rig, tracks))
+                results[FOLLOWING].judge(found(warm), true[k])
             if peers:
-                name = "plain OpenCV chain, each frame alone"
-                answers = turn(name, lambda image=image: plain.locate(image))
-                results[name].judge({robot: Pose.from_matrix(*answer) for robot, answer in answers.items()}, true[k])
+                answers = turn(PLAIN, lambda image=image: plain.locate(image))
+                results[PLAIN].judge({robot: Pose.from_matrix(*answer) for robot, answer in answers.items()}, true[k])
     if peers:
-        run_tags(rig, results, turn)
+        run_tags(rig, 0, 1 / RATE, results, turn)
     return dict(results)
 
 
@@ -109,13 +116,15 @@ def without_distortion(camera: Camera) -> Camera:
     return Camera(camera.name, camera.width, camera.height, camera.matrix, "plumb_bob", np.zeros(5))
 
 
-def run_tags(rig: Rig, results: dict[str, Result], turn: Callable[[str, Callable[[], Any]], Any]) -> None:
-    """The tag detectors, on a few frames: they take long."""
+def run_tags(
+    rig: Rig, seed: int, step_s: float, results: dict[str, Result], turn: Callable[[str, Callable[[], Any]], Any]
+) -> None:
+    """The tag detectors, on a few frames, ``step_s`` apart, of the scene of that seed: they take long."""
     ideal = Rig(without_distortion(rig.camera), rig.robots, range_m=rig.range_m)
-    scene = Scene(ideal, seed=0)
+    scene = Scene(ideal, seed)
     for detector in (tags.Aruco(ideal), tags.AprilTags(ideal)):
         for k in range(8):
-            truth = scene.truth(k, k / RATE)
+            truth = scene.truth(k, k * step_s)
             image: NDArray[np.uint8] = tags.render(ideal, truth, seed=k)
             poses = turn(detector.name, lambda detector=detector, image=image: detector.locate(image))
             true = {
@@ -155,8 +164,9 @@ def stages(rig: Rig) -> Table:
         for module, name, call in originals:
             setattr(module, name, call)
     table = Table(
-        title=f"{len(rig.robots)} robots, following: where the time goes", box=box.SIMPLE_HEAD, pad_edge=False
-    )
+        title=f"{len(rig.robots)} robots, following: where the time goes", box=box.SIMPLE_HEAD, pad_edge=False,
+        min_width=44,
+    )  # fmt: skip
     table.add_column("stage")
     table.add_column("median us", justify="right")
     whole = float(np.median(taken["the whole frame"]))
@@ -168,50 +178,101 @@ def stages(rig: Rig) -> Table:
     return table
 
 
-def plot(times: dict[str, dict[int, dict[str, Result]]], out: Path) -> None:
-    """Time against robots, and z error against distance."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 5))
-    for size, by_count in times.items():
-        counts = sorted(by_count)
-        for name in ("asterism, following", "asterism, each frame alone", "plain OpenCV chain, each frame alone"):
-            if all(name in by_count[count] for count in counts):
-                medians = [np.median(by_count[count][name].times_ms) for count in counts]
-                left.plot(counts, medians, "o-", label=f"{name}, {size}")
-        medians = [np.median(by_count[count]["one np.max over the frame"].times_ms) for count in counts]
-        left.plot(counts, medians, "k:", label=f"np.max, {size}")
-    left.set(xlabel="robots", ylabel="time of a frame, ms", xscale="log", yscale="log", title="time")
-    left.legend(fontsize=7)
-    distances = np.array([0.8, 1.1, 1.5, 2.0, 2.6])
-    errors: dict[str, list[float]] = defaultdict(list)
-    for distance in distances:
+def against_distance() -> dict[str, list[Result]]:
+    """What everybody makes of six robots at each of the distances."""
+    told: dict[str, list[Result]] = defaultdict(list)
+    for distance in DISTANCES:
         rig = make_rig(6, seed=3, camera=without_distortion(make_camera()), range_m=(0.9 * distance, 1.1 * distance))
         results: dict[str, Result] = defaultdict(Result)
-        scene = Scene(rig, seed=1)
+        scene, plain = Scene(rig, seed=1), PlainChain(rig)
         for k in range(10):
-            truth = scene.truth(k, k / 3)
-            result, _ = localize(Frame(scene.render(k, truth), 1, k), rig, Tracks.none())
-            results["asterism"].judge(found(result), {entry.robot: entry.T_camera_robot for entry in truth})
-        run_tags(rig, results, lambda _, call: call())
-        for name, value in results.items():
-            errors[name].append(float(np.median(value.z_errors)) * 1e3 if value.z_errors else np.nan)
-    for name, values in errors.items():
-        right.plot(distances, values, "o-", label=name)
-    right.set(xlabel="distance, m", ylabel="median z error, mm", yscale="log", title="error")
-    right.legend()
-    figure.tight_layout()
-    out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / "speed.png", dpi=110)
+            truth = scene.truth(k, k * STEP_S)
+            image, true = scene.render(k, truth), {entry.robot: entry.T_camera_robot for entry in truth}
+            results[ALONE].judge(found(localize(Frame(image, 1, k), rig, Tracks.none())[0]), true)
+            poses = {robot: Pose.from_matrix(*answer) for robot, answer in plain.locate(image).items()}
+            results[PLAIN].judge(poses, true)
+        run_tags(rig, 1, STEP_S, results, lambda _, call: call())
+        for name, result in results.items():
+            told[name].append(result)
+    return dict(told)
 
 
-def main(out: Path | None) -> None:
-    """Measure and print."""
+def z_error_mm(result: Result) -> float:
+    """Median, of the poses that are right; nan if none is."""
+    return 1e3 * float(np.median(result.z_errors)) if result.z_errors else float("nan")
+
+
+def distance_table(told: dict[str, list[Result]]) -> Table:
+    """Error of everybody against distance."""
+    table = Table(title="median z error, mm (right), against distance", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("frame to poses")
+    for distance in DISTANCES:
+        table.add_column(f"{distance:g} m", justify="right")
+    for name, results in told.items():
+        errors = [f"{z_error_mm(result):.3f}" if result.z_errors else "-" for result in results]
+        shares = [f"({100 * result.right / result.asked:.0f} %)" for result in results]
+        table.add_row(name, *(" ".join(pair) for pair in zip(errors, shares, strict=True)))
+    return table
+
+
+def plot_times(times: dict[str, dict[int, dict[str, Result]]], out: Path) -> None:
+    """Time of a frame against robots, one panel per size of image."""
+    from matplotlib import pyplot as plt
+    from matplotlib.ticker import NullLocator
+
+    figure, panels = plt.subplots(1, len(times), figsize=(12, 5.4), sharey=True, layout="constrained")
+    for panel, (size, by_count) in zip(panels, times.items(), strict=True):
+        for name, style in STYLES.items():
+            counts = [count for count in sorted(by_count) if name in by_count[count]]
+            medians = [float(np.median(by_count[count][name].times_ms)) for count in counts]
+            panel.plot(counts, medians, style, label=name)
+        panel.set(title=f"frame to poses, {size}, one thread", xlabel="robots in view", xscale="log", yscale="log")
+        panel.set_xticks(sorted(by_count), [str(count) for count in sorted(by_count)])
+        panel.xaxis.set_minor_locator(NullLocator())
+        panel.grid(visible=True, which="major", alpha=0.3)
+    ticks = (0.03, 0.1, 0.3, 1, 3, 10, 30, 100, 300)
+    panels[0].set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    panels[0].minorticks_off()
+    panels[0].set_ylabel("median time of a frame, ms")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figure.savefig(out, dpi=110)
+
+
+def plot_errors(told: dict[str, list[Result]], beside: dict[str, Result], out: Path) -> None:
+    """Error against distance, and error beside time."""
+    from matplotlib import pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 5.4), sharey=True, layout="constrained")
+    for name, results in told.items():
+        left.plot(DISTANCES, [z_error_mm(result) for result in results], STYLES[name], label=name)
+    left.set(
+        title="error against distance, six robots", xlabel="distance, m", ylabel="median z error, mm", yscale="log"
+    )
+    left.set_xticks(DISTANCES, [f"{distance:g}" for distance in DISTANCES])
+    for name, style in STYLES.items():
+        if name != MEMORY:
+            right.plot(
+                [float(np.median(beside[name].times_ms))], [z_error_mm(beside[name])], style, markersize=10, label=name
+            )
+    right.set(
+        title="error beside time, ten robots at 0.8 to 2 m, 1280x1024",
+        xlabel="median time of a frame, ms",
+        xscale="log",
+    )
+    times = (1, 3, 10, 30, 100, 300)
+    right.set_xticks(times, [str(time) for time in times])
+    ticks = (0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20)
+    left.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    for panel in (left, right):
+        panel.minorticks_off()
+        panel.grid(visible=True, which="major", alpha=0.3)
+    figure.legend(*right.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figure.savefig(out, dpi=110)
+
+
+def main(out: Path | None, console: Console) -> list[Path]:
+    """Measure and print; the plots that were written."""
     cv2.setNumThreads(1)
-    console = Console(width=110)
     times: dict[str, dict[int, dict[str, Result]]] = {}
     for size, (width, height, focal) in SIZES.items():
         times[size] = {}
@@ -220,21 +281,32 @@ def main(out: Path | None) -> None:
             rig = make_rig(count, camera=camera, range_m=(0.8, 2.0) if count <= 10 else (1.9, 2.3))
             results = run(rig, rounds=3, peers=size == "1280x1024" and count <= 10)
             times[size][count] = results
-            table = Table(title=f"{size}, {count} robots, one thread", box=box.SIMPLE_HEAD, pad_edge=False)
+            table = Table(
+                title=f"{size}, {count} robot{'s' * (count > 1)}, one thread", box=box.SIMPLE_HEAD, pad_edge=False
+            )
             for heading in ("frame to poses", "median ms", "99 %", "x np.max", "right", "z error mm"):
                 table.add_column(heading, justify="left" if heading == "frame to poses" else "right")
-            base = float(np.median(results["one np.max over the frame"].times_ms))
+            base = float(np.median(results[MEMORY].times_ms))
             for name, result in results.items():
                 median, late = np.percentile(result.times_ms, [50, 99])
                 share = f"{100 * result.right / result.asked:.1f} %" if result.asked else ""
-                depth = f"{1e3 * np.median(result.z_errors):.3f}" if result.z_errors else ""
+                depth = f"{z_error_mm(result):.3f}" if result.z_errors else ""
                 table.add_row(name, f"{median:.2f}", f"{late:.2f}", f"{median / base:.1f}", share, depth)
             console.print(table)
     console.print(stages(make_rig(10)))
-    if out is not None:
-        plot(times, out)
-        console.print(f"plots: {out / 'speed.png'}")
+    told = against_distance()
+    console.print(distance_table(told))
+    if out is None:
+        return []
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    out.mkdir(parents=True, exist_ok=True)
+    plot_times(times, out / "time.png")
+    plot_errors(told, times["1280x1024"][10], out / "error.png")
+    return [out / "time.png", out / "error.png"]
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else None)
+    for path in main(Path(sys.argv[1]) if len(sys.argv) > 1 else None, Console(width=110)):
+        print(path)
