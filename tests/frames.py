@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.protocol.camera import Camera
-from asterism.protocol.geometry import Floats, Pose
+from asterism.protocol.geometry import Floats, Pose, exp_rotation
 from asterism.protocol.rig import Rig
 from asterism.server import Frame, FrameResult, PoseEstimate, Tracks, localize
 from tests.helpers import facing_pose
@@ -42,18 +42,15 @@ def disc_image(camera: Camera, centre: Floats, normal: Floats, radius: float) ->
     return centroid, float(a), float(b), float(np.arctan2(axes[1, 1], axes[0, 1]))
 
 
-def draw(
-    rig: Rig, poses: Mapping[str, Pose], level: float = LEVEL, hidden: Mapping[str, tuple[int, ...]] | None = None
-) -> Canvas:
+def draw(rig: Rig, poses: Mapping[str, Pose], level: float = LEVEL) -> Canvas:
     """The light of robots at T_camera_robot on a dark background; LEDs dim with the cosine of the viewing angle."""
     canvas = Canvas.of(rig.camera.height, rig.camera.width)
     for name, pose in poses.items():
         robot = rig.robot(name)
         normal = pose.rotation @ robot.T_robot_plane.rotation[:, 2]
-        for number, led in enumerate(pose.map(robot.leds)):
+        for led in pose.map(robot.leds):
             facing = -float(normal @ led) / float(np.linalg.norm(led))
-            if facing <= 0 or number in (hidden or {}).get(name, ()):
-                continue
+            assert facing > 0, f"{name} shows its back"
             (x, y), a, b, angle = disc_image(rig.camera, led, normal, robot.led_radius or 0.0025)
             canvas.ellipse(float(x), float(y), a, b, angle, level=level * facing)
     return canvas
@@ -63,25 +60,34 @@ def poses_apart(
     rig: Rig, rng: np.random.Generator, names: list[str] | None = None,
     depth_m: tuple[float, float] = (1.0, 1.5), tilt_deg: tuple[float, float] = (15.0, 45.0),
 ) -> dict[str, Pose]:  # fmt: skip
-    """Poses of the robots (of all, if none are named) that lie well inside the image and do not overlap there."""
+    """Poses of the robots (of all, if none are named) that lie well inside the image and do not overlap there.
+
+    Tilts are against the line of sight.
+    """
     camera, focal = rig.camera, float(rig.camera.matrix[0, 0])
     poses: dict[str, Pose] = {}
     taken: list[tuple[Floats, float]] = []
     for name in names if names is not None else [robot.id for robot in rig.robots]:
         robot = rig.robot(name)
         while name not in poses:
-            pose = facing_pose(rng, depth_m, tilt_deg)
-            depth = pose.position[2]
+            somewhere = facing_pose(rng, depth_m, tilt_deg)
+            depth = somewhere.position[2]
             room = 0.62 * robot.extent / depth
             limit = (np.array([camera.width, camera.height]) / 2 - MARGIN_PX) / focal - room
             place = rng.uniform(-limit, limit)
-            # Shifting keeps the tilt against the axis; what it does to the line of sight is of no matter here.
-            pose = Pose(np.array([*(place * depth), depth]), pose.orientation)
-            shining = pose.rotation[:, 2] @ pose.position / np.linalg.norm(pose.position)
-            if shining < -0.6 and all(np.abs(place - other).max() > room + wide for other, wide in taken):
+            if all(np.abs(place - other).max() > room + wide for other, wide in taken):
                 taken.append((place, room))
+                position = depth * np.append(place, 1.0)
+                pose = Pose.from_matrix(_between(somewhere.position, position) @ somewhere.rotation, position)
                 poses[name] = pose @ robot.T_robot_plane.inverse()
     return poses
+
+
+def _between(a: Floats, b: Floats) -> Floats:
+    """The rotation (3, 3) about their common normal that turns one direction into the other."""
+    axis = np.cross(a, b)
+    length = np.linalg.norm(axis)
+    return exp_rotation(axis / length * np.arctan2(length, a @ b))
 
 
 def alone(image: NDArray[np.uint8], rig: Rig) -> FrameResult:

@@ -151,7 +151,7 @@ def test_a_mirrored_image_shows_no_robot_of_the_rig(mirror: str) -> None:
         for c in confusions([*layouts, *mirrored], hidden=1)
         if (c.seen < len(layouts)) != (c.taken < len(layouts))
     )
-    assert nearest > 0.3e-3
+    assert nearest > 0.3e-3  # 0.3 px, thirty times the centres' noise
     matrix = MIRRORS[mirror]
     rig = replace(RIG, camera=turned_camera(RIG.camera, matrix))
     for frame in range(FRAMES):
@@ -236,8 +236,8 @@ def test_leds_listed_in_another_order_get_other_numbers_and_the_same_pose(rng: n
 def test_names_order_and_robots_elsewhere_do_not_matter(rng: np.random.Generator) -> None:
     others = make_rig(10, seed=3)
     assert [robot.id for robot in others.robots[:6]] == NAMES
-    for mine, same in zip(RIG.robots, others.robots, strict=False):
-        np.testing.assert_array_equal(mine.leds, same.leds)
+    for mine, theirs in zip(RIG.robots, others.robots, strict=False):
+        np.testing.assert_array_equal(mine.leds, theirs.leds)
     order = rng.permutation(10)
     renamed = tuple(replace(others.robots[k], id=f"z{97 - k}") for k in order)
     rig = replace(RIG, robots=renamed)
@@ -318,11 +318,11 @@ def test_what_was_located_before_leaves_no_trace(rng: np.random.Generator) -> No
 
 
 def test_several_threads_get_the_same_bits() -> None:
-    frames = [k % FRAMES for k in range(24)]
+    shots = [shot(k % FRAMES) for k in range(24)]
     with ThreadPoolExecutor(4) as pool:
-        results = list(pool.map(lambda k: alone(shot(k)[0], RIG), frames))
-    for frame, result in zip(frames, results, strict=True):
-        assert bits(result) == bits(shot(frame)[1])
+        results = list(pool.map(lambda shot: alone(shot[0], RIG), shots))
+    for (_, expected), result in zip(shots, results, strict=True):
+        assert bits(result) == bits(expected)
 
 
 def test_a_rig_made_again_gives_the_same_bits() -> None:

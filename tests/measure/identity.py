@@ -24,7 +24,7 @@ from rich.table import Table
 from scipy.special import erf
 
 from asterism.protocol.geometry import Floats, Pose
-from asterism.protocol.rig import Rig, Robot
+from asterism.protocol.rig import Rig
 from asterism.server import Frame, Lost, PoseEstimate, Tracks, localize
 from asterism.server.lens import project_point
 from asterism.server.simulate import Look, Scene, Truth, quadrature, trace_disc
@@ -161,8 +161,18 @@ def _scene(robots: int, seed: int, range_m: tuple[float, float]) -> Scene:
 
 
 @lru_cache(maxsize=1)
-def _scene_of(robots: tuple[Robot, ...], seed: int) -> Scene:
-    return Scene(replace(_catalogue(), robots=robots), seed, LOOK)
+def _catalogue() -> Rig:
+    """Two hundred constellations; of 40 000 pairs the nearest are 4.6 mm apart."""
+    return make_rig(200, range_m=RANGES[2])
+
+
+@lru_cache(maxsize=1)
+def _chosen(block: int) -> Scene:
+    """Fifty robots: forty-five of the catalogue, and five that it doesn't know."""
+    unknown = [replace(robot, id=f"s{robot.id}") for robot in make_rig(5, seed=6000).robots]
+    known = np.random.default_rng([block, 14]).permutation(200)[:45]
+    robots, order = [_catalogue().robots[k] for k in known] + unknown, np.random.default_rng(15).permutation(50)
+    return Scene(replace(_catalogue(), robots=tuple(robots[k] for k in order)), block, LOOK)
 
 
 def _hide(truth: list[Truth], rng: np.random.Generator, share: float, counts: tuple[int, ...]) -> list[Truth]:
@@ -222,23 +232,13 @@ def strangers(number: int) -> Shot:
     return _shot(scene, number, truth, Light(scene, rng), ours)
 
 
-@lru_cache(maxsize=1)
-def _catalogue() -> Rig:
-    """Two hundred constellations; of 40 000 pairs the nearest are 4.6 mm apart."""
-    return make_rig(200, range_m=RANGES[2])
-
-
 def catalogue(number: int) -> Shot:
-    """Fifty robots in clutter: forty-five of a catalogue of two hundred, and five that it doesn't know."""
-    rng, known = np.random.default_rng([number, 13]), _catalogue()
-    unknown = make_rig(5, seed=6000)
-    some = [known.robots[k] for k in np.random.default_rng([number // BLOCK, 14]).permutation(200)[:45]]
-    robots = some + [replace(robot, id=f"s{robot.id}") for robot in unknown.robots]
-    scene = _scene_of(tuple(robots[k] for k in np.random.default_rng(15).permutation(50)), number // BLOCK)
+    """Fifty robots in clutter, five of them strangers; the rig has a hundred and fifty-five more."""
+    rng, scene = np.random.default_rng([number, 13]), _chosen(number // BLOCK)
     truth = _hide(scene.truth(number, 1.7 * number), rng, 0.3, (1, 2))
     light = Light(scene, rng)
     light.clutter(150, truth)
-    return _shot(scene, number, truth, light, known)
+    return _shot(scene, number, truth, light, _catalogue())
 
 
 def touching(number: int) -> Shot:
