@@ -64,7 +64,7 @@ def test_every_rejected_spot_is_counted_by_name_and_the_robots_are_found(rng: np
     for angle, away in zip(np.arange(0, 2 * np.pi, 0.2), rng.uniform(90, 140, 32), strict=True):
         canvas.ellipse(lamp[0] + away * np.cos(angle), lamp[1] + away * np.sin(angle), 2.5, level=8)
     masks = []
-    for kind in ("hot", "streak", "large", "masked") * 4:
+    for kind in ("hot", "streak", "large", "masked", "ring") * 4:
         place = lamp
         while np.hypot(*(taken - place).T).min() < 70 or np.hypot(*(lamp - place)) < 230:
             place = rng.uniform(60, [1220, 964])
@@ -76,6 +76,9 @@ def test_every_rejected_spot_is_counted_by_name_and_the_robots_are_found(rng: np
             canvas.streak(u, v, 22, rng.uniform(0, np.pi))
         elif kind == "large":
             canvas.ellipse(u, v, 20)
+        elif kind == "ring":
+            for angle in np.arange(0, 2 * np.pi, 0.12):
+                canvas.ellipse(u + 6 * np.cos(angle), v + 6 * np.sin(angle), 0.9, level=80)
         else:
             canvas.ellipse(u, v, 2.5)
             masks.append((int(u) - 9, int(v) - 9, int(u) + 9, int(v) + 9))
@@ -85,7 +88,7 @@ def test_every_rejected_spot_is_counted_by_name_and_the_robots_are_found(rng: np
     assert list(estimates(result)) == list(poses)
     counts = Counter(Fate.Name(int(fate)) for fate in result.blobs.fates)
     assert counts["LED"] == 18
-    for reason in ("ELONGATED", "MASKED", "AT_EDGE"):
+    for reason in ("ELONGATED", "MASKED", "AT_EDGE", "MISSHAPEN"):
         assert counts[reason] == 4, counts
     # The lamp may be too large as well, what stands out of its slope too small or too faint.
     assert counts["TOO_LARGE"] in (4, 5), counts
