@@ -173,8 +173,8 @@ def refine_leaning(image, spots, rows, centres, covariances):
                 n_apart += 1
         if fit_leaning(image, spot, other, apart[:n_apart], BLUR_PX, GAIN, out):
             centres[k, 0], centres[k, 1] = out[0], out[1]
-            covariances[k, 0] = out[2] + LEANING_ERROR_PX**2
+            covariances[k, 0] = out[2] + (LEANING_ERROR_PX * out[5]) ** 2
             covariances[k, 1] = out[3]
-            covariances[k, 2] = out[4] + LEANING_ERROR_PX**2
+            covariances[k, 2] = out[4] + (LEANING_ERROR_PX * out[5]) ** 2
             changed += 1
     return changed

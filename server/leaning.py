@@ -34,7 +34,9 @@ PARAMETERS = 9
 ITERATIONS = 12
 SATURATED = 255
 NEIGHBOUR_MARGIN_PX = 1.0
-WORST_MISFIT = 0.08  # of the spot's height, RMS: beyond that the model does not hold
+# Beyond these the model does not hold: misfit, of the spot's height, RMS; chi squared per degree of freedom.
+WORST_MISFIT, WORST_SCALE = 0.08, 4.0
+LEAST_LIGHT = 5.0  # sigmas: a second light dimmer than that may not be there
 
 
 @compiled
@@ -137,7 +139,8 @@ def fit_leaning(image, spot, other, neighbours, blur, gain, out):
     """Fit a spot and the light beside it; arguments and ``out`` as in `edge_model.fit_edge_model`.
 
     ``other`` (4,) is the spot that was split from this one: x, y, height, radius; its height is 0 where there is
-    none, and the light is looked for. Returns False, with ``out`` untouched, where the two do not explain the pixels.
+    none, and the light is looked for. ``out`` ends with chi squared per degree of freedom, at least 1. Returns False,
+    with ``out`` untouched, where the two do not explain the pixels or the light may not be there.
     """
     height, width = image.shape
     # The other light reaches beyond the spot's own window.
@@ -188,6 +191,15 @@ def fit_leaning(image, spot, other, neighbours, blur, gain, out):
     if dof < 10 or math.sqrt(plain / pixels) > WORST_MISFIT * spot[HEIGHT]:
         return False
     scale = max(chi2 / dof, 1.0)
+    if scale > WORST_SCALE:
+        return False
+    work[:, :] = n
+    for j in range(PARAMETERS):
+        work[j, j] += 1e-9
+    move[:] = 0.0
+    move[LIGHT] = 1.0
+    if not cholesky_solve(work, move) or p[LIGHT] ** 2 < LEAST_LIGHT**2 * scale * move[LIGHT]:
+        return False
     for axis in range(2):
         work[:, :] = n
         for j in range(PARAMETERS):
@@ -201,5 +213,5 @@ def fit_leaning(image, spot, other, neighbours, blur, gain, out):
         else:
             out[4] = scale * move[1]
     out[0], out[1] = p[PX], p[PY]
-    out[5] = 0.0
+    out[5] = scale
     return True

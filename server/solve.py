@@ -21,7 +21,7 @@ from asterism.server.planar import (
     refine_pose,
     solve_both,
 )
-from asterism.server.rotations import product_into
+from asterism.server.rotations import angle_between, product_into
 from asterism.server.spot_shift import correct_rays, has_shift, refine_shifted, spot_shifts
 
 ITERATIONS = 12
@@ -34,6 +34,7 @@ NO_SYSTEMATIC = 20.0  # odds, before a look at the residuals, that the spots' ow
 LEAST_SYSTEMATIC_PX = 0.002  # and from where on, in doublings, it is not: calibration, LED positions
 SYSTEMATIC_STEPS = 9
 NEGLIGIBLE = 0.02  # of a spot's own variance
+SAME_RAD = 0.002  # poses that are no more apart are one
 LEAST_SIGMA_PX = 0.001  # no centre is known better than this
 # 99.9 % of chi squared for 2, 4 and 6 degrees of freedom: beyond it the spots' noise is not the whole story.
 _SURPRISE = np.array([0.0, 0.0, 0.0, 0.0, 13.8, 18.5, 22.5])
@@ -302,6 +303,8 @@ def solve_robots(
             extra, _ = _systematic(both[better], both_t[better], p, seen[better, :count], w, focal)
             if extra * (w[:, 0].max() + w[:, 2].max()) < NEGLIGIBLE:
                 break
+        if both_costs[0] < NO_SOLUTION and both_costs[1] < NO_SOLUTION and angle_between(both[0], both[1]) < SAME_RAD:
+            both_costs[1 - better] = NO_SOLUTION  # seen nearly in front, both minima may be one
         for which in range(2):
             rotation, t = both[which], both_t[which]
             towards = 0.0

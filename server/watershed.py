@@ -13,13 +13,21 @@ PROMINENCE = 0.12  # a peak that stands out less, as a share of its height, belo
 
 
 @compiled
+def _top(regions, region):
+    """The highest region of the connected group that a region belongs to."""
+    while int(regions[region, 3]) != region:
+        region = int(regions[region, 3])
+    return region
+
+
+@compiled
 def watershed(image, thresholds_row, x0, x1, y0, y1, base, noise, labels, regions):
     """Split the pixels above the seed threshold in a window into regions, one for every prominent peak.
 
     ``labels`` (cells,) int32 is filled with region numbers (-1 outside); ``regions`` (capacity, 4) float64 with
     peak, the level at which it meets a higher one (its saddle; -1 if it never does), the region it was joined to
-    (itself if it stands alone), and the higher region it met (itself if none). Returns the number of regions, joined
-    ones included.
+    (itself if it stands alone), and a higher region of the connected group it belongs to (itself if it is the
+    highest; see `_top`). Returns the number of regions, joined ones included.
     """
     width, height = x1 - x0, y1 - y0
     cells = width * height
@@ -77,12 +85,13 @@ def watershed(image, thresholds_row, x0, x1, y0, y1, base, noise, labels, region
                 if other == mine:
                     continue
                 low, high = max(other, mine), min(other, mine)  # regions are made in descending order of peak
+                top_low, top_high = _top(regions, low), _top(regions, high)
+                regions[max(top_low, top_high), 3] = min(top_low, top_high)
                 if regions[low, 1] >= 0.0:
                     continue  # judged before
                 rise = regions[low, 0] - base
                 if regions[low, 0] - value >= max(4.0 * noise, 3.0, PROMINENCE * rise):
                     regions[low, 1] = value
-                    regions[low, 3] = high
                 else:
                     regions[low, 2] = high
                     mine = high if mine == low else mine
@@ -94,18 +103,6 @@ def watershed(image, thresholds_row, x0, x1, y0, y1, base, noise, labels, region
                 label = int(regions[label, 2])
             labels[cell] = label
     return count
-
-
-@compiled
-def _top(regions, region):
-    """The highest region of the connected group that a region belongs to."""
-    while True:
-        above = int(regions[region, 2])
-        if above == region:
-            above = int(regions[region, 3])
-        if above == region:
-            return region
-        region = above
 
 
 @compiled

@@ -156,11 +156,6 @@ def test_a_dim_mirror_image_beside_an_led_is_said_or_removed(rng: np.random.Gene
     assert np.median(after) < 0.08
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="one lone LED in some 300 is taken for one that other light leans on, since its misfit is above 1.6 by "
-    "chance, and fitted together with light that is not there: 0.12 and 0.18 px off instead of 0.01",
-)
 def test_a_lone_led_is_not_moved_by_light_that_is_not_there() -> None:
     draws = np.random.default_rng(5)
     worst = 0.0

@@ -330,11 +330,6 @@ def test_a_rig_made_again_gives_the_same_bits() -> None:
     assert bits(localize(Frame(image, exposed_ns=1, index=0), replace(RIG), Tracks.none())[0]) == bits(before)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="seen from nearly in front, where both minima are one, that one is published twice: as the pose and, with "
-    "odds of 1, as its alternative, and the robot is called TILT_AMBIGUOUS",
-)
 def test_the_alternative_is_another_pose() -> None:
     rig = make_rig(4, seed=5, camera=make_camera(480, 400))
     for k in range(60):

@@ -120,11 +120,6 @@ def test_every_rejection_has_its_reason(rng: np.random.Generator) -> None:
     assert fates_near(blobs, 400, 300) == ["MASKED"]
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="groups of regions that meet only through one whose saddle is known already stay apart: the watershed "
-    "leaves several tops in one component, keep_group finds none of the component's size and drops all of it",
-)
 def test_nothing_bright_vanishes_without_a_fate() -> None:
     for seed in range(6):
         draws = np.random.default_rng(seed)
