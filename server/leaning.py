@@ -36,6 +36,7 @@ SATURATED = 255
 NEIGHBOUR_MARGIN_PX = 1.0
 # Beyond these the model does not hold: misfit, of the spot's height, RMS; chi squared per degree of freedom.
 WORST_MISFIT, WORST_SCALE = 0.08, 4.0
+PATIENCE, HOPELESS = 4, 4.0  # iterations after which a fit that is so many times too bad is given up
 LEAST_LIGHT = 5.0  # sigmas: a second light dimmer than that may not be there
 
 
@@ -161,7 +162,9 @@ def fit_leaning(image, spot, other, neighbours, blur, gain, out):
     work, move, trial = np.empty((PARAMETERS, PARAMETERS)), np.empty(PARAMETERS), np.empty(PARAMETERS)
     chi2, plain, pixels = _evaluate(image, spot, neighbours, blur, gain, p, x0, x1, y0, y1, True, n, r)
     damping = 1e-2
-    for _ in range(ITERATIONS):
+    for iteration in range(ITERATIONS):
+        if iteration >= PATIENCE and chi2 > HOPELESS * WORST_SCALE * (pixels - PARAMETERS):
+            return False
         work[:, :] = n
         move[:] = r
         for j in range(PARAMETERS):
