@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
-from asterism.server.evidence import surroundings
+from asterism.server.evidence import AROUND, surroundings
 from asterism.server.fit import CHI2, LEDS, fit_labelled, median_of
 from asterism.server.plan import Plan
 from asterism.server.search import ROBOT, Found, Spots, searched
@@ -20,6 +20,7 @@ from asterism.server.search import ROBOT, Found, Spots, searched
 LEAST = 11.0  # log odds against chance from which on a robot is claimed
 WORTH = 5.0  # from which on it counts as an explanation at all
 MARGIN = 7.0  # over the second-best explanation of any of its spots
+LEAST_SIGMA_PX = 0.02  # nothing is known better than this of calibration and LED positions
 WAYS = 360.0 * 0.15  # to name four spots; and how many of them a camera could see so
 FOUR_SEEN = 0.05  # of the robots that are sought show four LEDs
 LEAST_CHANCE = 0.01  # groups of four strange lights are expected at least, whatever else is in the frame
@@ -51,7 +52,7 @@ def fours(
     usable = spots.free.copy()
     for _, labels, _, _ in found:
         usable[labels[labels >= 0]] = False
-    if not sought.any() or usable.sum() < 4:
+    if not sought.any() or usable.sum() < 4 or _hopeless(int(usable.sum()) - 4 * int(sought.sum()), plan):
         return []
     spots = spots._replace(free=usable)
     # As if all were known, and the sought ones but dim: what is found then is a hypothesis.
@@ -87,12 +88,35 @@ def fours(
             for other, other_value in zip(candidates, odds, strict=True)
             if other is not four and (other.used & four.used or other.robot == four.robot)
         ]
-        prior = math.log(FOUR_SEEN / max(_expected_groups(strange, four.area_px2, plan), LEAST_CHANCE))
-        if value + prior >= LEAST and value - max(rivals, default=-math.inf) >= MARGIN:
+        if value + _prior(strange, four.area_px2, plan) >= LEAST and value - max(rivals, default=-math.inf) >= MARGIN:
             claimed.append((four.robot, four.labels, four.rotation, four.t))
         else:
             doubts[four.robot] = DOUBT
     return claimed
+
+
+def _hopeless(strange: int, plan: Plan) -> bool:
+    """Whether among so many strange lights not even the best conceivable fit could be claimed."""
+    for distance in (plan.near, plan.far):
+        area = math.pi * (AROUND * float(plan.extents.min()) * plan.focal / distance) ** 2
+        best = math.log(area / (2.0 * math.pi * LEAST_SIGMA_PX**2 * WAYS)) + _of_its_size(plan, KNOWN_SIZE_SPREAD)
+        if best + _prior(strange, area, plan) >= LEAST:
+            return False
+    return True
+
+
+def _prior(strange: int, area_px2: float, plan: Plan) -> float:
+    """Logarithm of the odds, before a look at the fit, that a group of four is a robot and no chance."""
+    camera = plan.rig.camera
+    inside = max(strange, 0) * area_px2 / (camera.width * camera.height)
+    # Groups of exactly four strange lights that such an area holds somewhere in the image.
+    groups = max(strange, 0) * inside**3 / 6.0 * math.exp(-inside)
+    return math.log(FOUR_SEEN / max(groups, LEAST_CHANCE))
+
+
+def _of_its_size(plan: Plan, spread: float) -> float:
+    """What it says for a robot that the spots are exactly as large as its LEDs: by chance any distance is implied."""
+    return math.log(math.log(plan.far / plan.near * 1.5) / (math.sqrt(2.0 * math.pi) * spread))
 
 
 def _refitted(robot: int, labels: NDArray[np.int64], sigma_px: float, spots: Spots, plan: Plan) -> list[_Four]:
@@ -140,7 +164,7 @@ def _odds(four: _Four, sigma_px: float, size: tuple[float, float], plan: Plan, r
     if math.isfinite(four.size):
         typical, spread = size
         off = (four.size - typical) / spread
-        value += math.log(math.log(plan.far / plan.near * 1.5) / (math.sqrt(2.0 * math.pi) * spread)) - 0.5 * off * off
+        value += _of_its_size(plan, spread) - 0.5 * off * off
     return value
 
 
@@ -167,11 +191,6 @@ def _sharpened(fits: list[_Four], sigma_px: float) -> float:
     Several independent fits that all leave next to nothing are no chance; what was known before counts as one.
     """
     typical = float(np.median([fit.residual_px2 for fit in fits])) * 2.0 / (2.0 * math.log(2.0))
-    return min(sigma_px, max(math.sqrt((len(fits) * typical + 2.0 * sigma_px**2) / (2.0 * (len(fits) + 1))), 0.02))
-
-
-def _expected_groups(strange: int, area_px2: float, plan: Plan) -> float:
-    """How many groups of exactly four strange lights such an area holds somewhere in the image, by chance."""
-    camera = plan.rig.camera
-    inside = strange * area_px2 / (camera.width * camera.height)
-    return strange * inside**3 / 6.0 * math.exp(-inside)
+    return min(
+        sigma_px, max(math.sqrt((len(fits) * typical + 2.0 * sigma_px**2) / (2.0 * (len(fits) + 1))), LEAST_SIGMA_PX)
+    )

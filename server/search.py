@@ -27,10 +27,10 @@ from asterism.server.quads import look_up
 Ints = NDArray[np.int64]
 
 # Passes: least ratio of heights and of radii, nearest neighbours that are combined.
-ALIKE_HEIGHT, ALIKE_RADIUS, ALIKE_DEPTH = 0.5, 0.6, 10
+ALIKE_HEIGHT, ALIKE_RADIUS, ALIKE_DEPTHS = 0.5, 0.6, (6, 10)
 HEIGHT_RATIO, RADIUS_RATIO = 0.2, 0.4
 DEPTHS = (8, 14, 24)
-MOST_QUADS = 25  # for every spot; beyond that only the nearer combinations were tried
+MOST_QUADS = 12  # for every spot, of less alike ones; beyond that only the nearer combinations were tried
 REACH_PX = 3.0  # how far an LED may lie from where the homography of four puts it
 SPOT_ERROR_PX = 0.2  # what a spot may be off while its quad is looked up
 MIRROR_RATIO = 0.6  # a second explanation of a robot is a mirror image if it is dimmer than this
@@ -408,15 +408,19 @@ def search(spots, sought, limits, claims, pending):
     ranks[by_height] = np.arange(n)
     work = _work(spots.flat)
     systematic2 = (SYSTEMATIC_PX / limits.focal) ** 2
-    lists, counts = np.empty((n, ALIKE_DEPTH), np.int32), np.zeros(n, np.int32)
+    lists, counts = np.empty((n, ALIKE_DEPTHS[-1]), np.int32), np.zeros(n, np.int32)
     nearest_neighbours(
         spots.flat, spots.free, ranks, spots.heights, spots.radii, ALIKE_HEIGHT, ALIKE_RADIUS, limits.reach,
         lists, counts,
     )  # fmt: skip
-    budget = MOST_QUADS * n
-    quads = _combine(
-        spots, sought, limits, claims, pending, work, lists, counts, by_height, 0, ALIKE_DEPTH, budget, systematic2
-    )
+    quads, previous = 0, 0
+    for depth in ALIKE_DEPTHS:
+        quads += _combine(
+            spots, sought, limits, claims, pending, work, lists, counts, by_height, previous, depth, n * n * n,
+            systematic2,
+        )  # fmt: skip
+        previous = depth
+    budget = quads + MOST_QUADS * n
     if sought.claimed.all():
         return quads  # rivals of robots that are found stand together, and were met already
     lists = np.empty((n, DEPTHS[-1]), np.int32)
