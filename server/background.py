@@ -18,7 +18,9 @@ TILE_PX = 128
 BLOCK_ROWS = 8  # rows that share one row of seed thresholds
 _SAMPLED_ROWS = 8  # of a tile
 _STEP_PX = 4  # between samples of a row
+_PART_BITS = 7  # of a grey level's parts, in which thresholds are stepped
 LARGEST_STEP = 48  # grey levels between neighbours: beyond it certainly an edge
+LEAST_LAMP = 12.0  # grey levels by which a tile that a lamp fills stands out
 EDGE = 4.0  # times the mean step, from where on it is an edge (five sigma)
 
 
@@ -94,26 +96,35 @@ def discount_lamps(level, noise):
     for ty in range(tiles_y):
         for tx in range(tiles_x):
             y0, y1, x0, x1 = max(ty - 1, 0), min(ty + 2, tiles_y), max(tx - 1, 0), min(tx + 2, tiles_x)
-            count = 0
+            darkest, least = np.inf, np.inf
             for y in range(y0, y1):
                 for x in range(x0, x1):
-                    around[count] = level[y, x]
-                    count += 1
-            middle = _median(around, count)
-            for k in range(count):
-                around[k] = abs(around[k] - middle)
-            spread = _median(around, count)
-            if level[ty, tx] > middle + max(4.0 * spread, 12.0):
-                level_out[ty, tx] = middle
-            count = 0
-            for y in range(y0, y1):
-                for x in range(x0, x1):
-                    around[count] = noise[y, x]
-                    count += 1
-            quiet = _median(around, count)
-            if noise[ty, tx] > 2.0 * quiet:
-                noise_out[ty, tx] = quiet
+                    darkest, least = min(darkest, level[y, x]), min(least, noise[y, x])
+            # Most tiles stand out from no neighbour: no need for medians.
+            if level[ty, tx] > darkest + LEAST_LAMP:
+                count = _around(level, x0, x1, y0, y1, around)
+                middle = _median(around, count)
+                for k in range(count):
+                    around[k] = abs(around[k] - middle)
+                spread = _median(around, count)
+                if level[ty, tx] > middle + max(4.0 * spread, LEAST_LAMP):
+                    level_out[ty, tx] = middle
+            if noise[ty, tx] > 2.0 * least:
+                quiet = _median(around, _around(noise, x0, x1, y0, y1, around))
+                if noise[ty, tx] > 2.0 * quiet:
+                    noise_out[ty, tx] = quiet
     return level_out, noise_out
+
+
+@compiled
+def _around(tiles, x0, x1, y0, y1, around):
+    """Copy a box (exclusive ends) of tiles into ``around``; return how many there are."""
+    count = 0
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            around[count] = tiles[y, x]
+            count += 1
+    return count
 
 
 @compiled
@@ -131,32 +142,51 @@ def interpolate(tiles, y, x, height, width):
 
 
 @compiled
+def _line_of_seeds(level, noise, sigmas, least, line):
+    """Fill ``line`` (w,) float32 with the seed thresholds at the height of a row of tiles' centres."""
+    tiles, width = level.shape[0], line.shape[0]
+    per_px = tiles / width
+    # From one tile's centre to the next it is a ramp; beyond the outer ones it is level.
+    for j in range(-1, tiles):
+        x0 = max(math.ceil((j + 0.5) / per_px - 0.5), 0)
+        x1 = min(math.ceil((j + 1.5) / per_px - 0.5), width)
+        j0, j1 = max(j, 0), min(j + 1, tiles - 1)
+        left = min(level[j0] + max(sigmas * noise[j0], least), 255.0)
+        rise = min(level[j1] + max(sigmas * noise[j1], least), 255.0) - left
+        start, slope = np.float32(left + rise * (0.5 * per_px - 0.5 - j)), np.float32(rise * per_px)
+        for x in range(x0, x1):
+            line[x] = start + slope * np.float32(x)
+
+
+@compiled
 def seed_thresholds(level, noise, sigmas, least, height, width, thresholds):
     """Fill ``thresholds`` (blocks, w) uint8: a pixel above its block's threshold may belong to a spot.
 
     The threshold is the background plus ``sigmas`` times its noise, at least ``least`` grey levels.
     """
-    tiles_y, tiles_x = level.shape
-    # First along x, one line for each row of tiles; then every block is a blend of two lines.
+    tiles_y = level.shape[0]
     lines = np.empty((tiles_y, width), np.float32)
-    per_px = tiles_x / width
     for ty in range(tiles_y):
-        for x in range(width):
-            u = min(max((x + 0.5) * per_px - 0.5, 0.0), tiles_x - 1.0)
-            j = int(u)
-            j1 = min(j + 1, tiles_x - 1)
-            left = level[ty, j] + max(sigmas * noise[ty, j], least)
-            right = level[ty, j1] + max(sigmas * noise[ty, j1], least)
-            lines[ty, x] = min(left + (u - j) * (right - left), 255.0)
+        _line_of_seeds(level[ty], noise[ty], sigmas, least, lines[ty])
+    # Every block is a blend of two lines: stepped from block to block in parts of a grey level, which is what the
+    # compiler makes the fastest code of.
+    now, change = np.empty(width, np.int16), np.empty(width, np.int16)
+    per_block = BLOCK_ROWS * tiles_y / height
+    before = -2
     for block in range(thresholds.shape[0]):
-        y = block * BLOCK_ROWS + 0.5 * (BLOCK_ROWS - 1)
-        v = min(max((y + 0.5) * tiles_y / height - 0.5, 0.0), tiles_y - 1.0)
-        i = int(v)
-        upper, lower = lines[i], lines[min(i + 1, tiles_y - 1)]
-        part = np.float32(v - i)
+        v = (block + 0.5) * per_block - 0.5
+        i = min(math.floor(v), tiles_y - 1)
+        if i != before:
+            before = i
+            upper, lower = lines[max(i, 0)], lines[min(i + 1, tiles_y - 1)]
+            part, parts = np.float32(v - i), np.float32(1 << _PART_BITS)
+            for x in range(width):
+                now[x] = np.int16(parts * (upper[x] + part * (lower[x] - upper[x])))
+                change[x] = np.int16(parts * np.float32(per_block) * (lower[x] - upper[x]))
         row = thresholds[block]
         for x in range(width):
-            row[x] = np.uint8(np.int32(upper[x] + part * (lower[x] - upper[x])))
+            row[x] = now[x] >> _PART_BITS
+            now[x] += change[x]
 
 
 def tile_shape(height: int, width: int) -> tuple[int, int]:

@@ -9,7 +9,7 @@ from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import Fate
 from asterism.server.background import BLOCK_ROWS, background_of, seed_thresholds
 from asterism.server.centre import ESTIMATOR_NUMBERS, refine_centres
-from asterism.server.components import COMPONENT_COLUMNS, connect, mark_hot_columns
+from asterism.server.components import COMPONENT_COLUMNS, connect, hot_width, mark_hot_columns
 from asterism.server.spots import FATE, HEIGHT, SEMI_A, SEMI_B, SPOT_COLUMNS, measure_spots
 
 Ints = NDArray[np.int64]
@@ -54,7 +54,7 @@ class Scratch:
     def __init__(self, height: int, width: int) -> None:
         blocks = (height + BLOCK_ROWS - 1) // BLOCK_ROWS
         self.thresholds = np.empty((blocks, width), np.uint8)
-        self.hot = np.zeros((blocks, -(-width // 8) * 8), np.uint8)
+        self.hot = np.zeros((blocks, hot_width(width)), np.uint8)
         self.runs = np.empty((MOST_RUNS, 3), np.int32)
         self.parent = np.empty(MOST_RUNS, np.int32)
         self.components = np.empty((MOST_SPOTS, COMPONENT_COLUMNS), np.int32)

@@ -6,9 +6,10 @@ import numpy as np
 
 from asterism.server.clip import fit_clip
 from asterism.server.compiled import compiled
-from asterism.server.edge_model import BLUR_PX, SUMS, fit_edge_model
+from asterism.server.edge_model import BLUR_PX, PARAMETERS, SUMS, fit_edge_model
 from asterism.server.grey_square import fit_grey_square
 from asterism.server.leaning import fit_leaning
+from asterism.server.pixels import room_for
 from asterism.server.spots import (
     AT_EDGE,
     FATE,
@@ -98,7 +99,8 @@ def refine_centres(image, spots, estimator, centres, covariances):
         widest = max(widest, spots[k, SEMI_A])
         if spots[k, FATE] == UNEXPLAINED:
             largest = max(largest, (spots[k, WX1] - spots[k, WX0]) * (spots[k, WY1] - spots[k, WY0]))
-    pixels, sums = np.empty((3, int(largest))), np.empty(SUMS)
+    pixels, sums = room_for(largest), np.empty(SUMS)
+    parameters, m, q = np.empty(PARAMETERS), np.empty((5, 5)), np.empty(5)
     # The expected gain counts as much as a measurement of that sigma.
     told, weight = 2.0 * GAIN / GAIN_SIGMA**2, 2.0 / GAIN_SIGMA**2
     for place in range(n):
@@ -110,11 +112,11 @@ def refine_centres(image, spots, estimator, centres, covariances):
             continue
         count = _neighbours_of(spots, order, place, widest, neighbours, other)
         if estimator == 0:
-            fit_edge_model(image, spot, neighbours[:count], GAIN, pixels, sums, out)
+            fit_edge_model(image, spot, neighbours[:count], GAIN, pixels, sums, parameters, m, q, out)
         elif estimator == 1:
             fit_grey_square(image, spot, neighbours[:count], GAIN, out)
         elif estimator == 2:
-            fit_clip(image, spot, neighbours[:count], GAIN, out)
+            fit_clip(image, spot, neighbours[:count], GAIN, pixels, out)
         else:
             fit_zernike(image, spot, neighbours[:count], GAIN, out)
         if out[5] > ONE_SIDED or other[2] > 0.0:

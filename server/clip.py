@@ -10,6 +10,7 @@ import numpy as np
 
 from asterism.server.compiled import compiled, compiled_sums
 from asterism.server.edge_model import gather_pixels
+from asterism.server.pixels import COUNTS, GREY, PX, PY
 from asterism.server.spots import HEIGHT, LEVEL, NOISE, SATURATED_SHARE, SLOPE_X, SLOPE_Y, WX0, WX1, WY0, WY1, X, Y
 
 CLIP = (0.05, 0.9)  # of the spot's height
@@ -19,21 +20,22 @@ SATURATED_PHASE_ERROR_PX = 0.012  # and more where the top is cut off, by the sh
 
 
 @compiled_sums
-def _add_up(xs, ys, values, n, spot, gain, sums):
+def _add_up(pixels, n, spot, gain, sums):
     """Fill ``sums`` (9,): the clipped profile's light and first moments; its noise with first and second moments.
 
-    ``xs``, ``ys`` (n,) px from the window's middle, ``values`` (n,) grey levels. Only pixels between the two levels
-    vary: noise moves the others along their clip level, where it changes nothing.
+    ``pixels`` are those of `edge_model.gather_pixels`. Only pixels between the two levels vary: noise moves the others
+    along their clip level, where it changes nothing.
     """
+    xs, ys, values, counts = pixels[PX], pixels[PY], pixels[GREY], pixels[COUNTS]
     level, slope_x, slope_y = spot[LEVEL], spot[SLOPE_X], spot[SLOPE_Y]
     read = spot[NOISE] * spot[NOISE]
     low, high = max(CLIP[0] * spot[HEIGHT], CLIP_SIGMAS * spot[NOISE]), CLIP[1] * spot[HEIGHT]
     s = sx = sy = v = vx = vy = vxx = vxy = vyy = 0.0
     for i in range(n):
-        x, y = xs[i], ys[i]
+        x, y, counted = xs[i], ys[i], counts[i]
         z = values[i] - (level + slope_x * x + slope_y * y)
-        q = max(min(z, high) - low, 0.0)
-        variance = read + gain * z if low < z < high else 0.0
+        q = counted * max(min(z, high) - low, 0.0)
+        variance = counted * (read + gain * z) if low < z < high else 0.0
         s += q
         sx += q * x
         sy += q * y
@@ -48,15 +50,14 @@ def _add_up(xs, ys, values, n, spot, gain, sums):
 
 
 @compiled
-def fit_clip(image, spot, neighbours, gain, out):
+def fit_clip(image, spot, neighbours, gain, pixels, out):
     """The clipped centroid of one spot; arguments and ``out`` as in `edge_model.fit_edge_model`.
 
     The entries of ``out`` after the covariance are zero: this estimator does not tell of other light.
     """
-    cells = int((spot[WX1] - spot[WX0]) * (spot[WY1] - spot[WY0]))
-    pixels, sums = np.empty((3, cells)), np.empty(9)
+    sums = np.empty(9)
     _, n = gather_pixels(image, spot, neighbours, pixels)
-    _add_up(pixels[0], pixels[1], pixels[2], n, spot, gain, sums)
+    _add_up(pixels, n, spot, gain, sums)
     out[:] = 0.0
     s = sums[0]
     if s <= 0.0:

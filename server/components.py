@@ -9,10 +9,18 @@ import numpy as np
 
 from asterism.server.background import BLOCK_ROWS
 from asterism.server.compiled import compiled
+from asterism.server.pixels import index
 
 # Columns of the component table.
 X0, X1, Y0, Y1, AREA, PEAK, SATURATED = range(7)  # X1 and Y1 exclusive
 COMPONENT_COLUMNS = 7
+
+HOT_COLUMNS = 64  # that cold places are skipped by
+
+
+def hot_width(width: int) -> int:
+    """Columns of the marks for an image of that width, px: a multiple of HOT_COLUMNS."""
+    return -(-width // HOT_COLUMNS) * HOT_COLUMNS
 
 
 @compiled
@@ -38,10 +46,42 @@ def _root(parent, k):
 
 
 @compiled
+def _hot_segments(mark, words, segments):
+    """Fill ``segments`` (capacity, 2) with first and last column but one of every hot stretch; return how many.
+
+    ``mark`` (w,) are a block's marks, ``words`` (w / 8,) the same eight at a time.
+    """
+    count = 0
+    inside = False
+    for place in range(0, words.shape[0], 8):
+        # Most of a block is cold: skip it 64 columns at a time.
+        if not inside and not (
+            words[place] | words[place + 1] | words[place + 2] | words[place + 3]
+            | words[place + 4] | words[place + 5] | words[place + 6] | words[place + 7]
+        ):  # fmt: skip
+            continue
+        for word in range(place, place + 8):
+            if not inside and words[word] == 0:
+                continue
+            for x in range(8 * word, 8 * word + 8):
+                if (mark[x] != 0) != inside:
+                    inside = not inside
+                    if inside:
+                        segments[count, 0] = x
+                    else:
+                        segments[count, 1] = x
+                        count += 1
+    if inside:
+        segments[count, 1] = mark.shape[0]
+        count += 1
+    return count
+
+
+@compiled
 def connect(image, thresholds, hot, runs, parent, table):
     """Fill ``table`` (capacity, COMPONENT_COLUMNS) int32 with the components; return how many there are.
 
-    ``hot`` has a width that is a multiple of eight, zero beyond the image's. ``runs`` (capacity, 3) and ``parent``
+    ``hot`` has the width `hot_width` says, zero beyond the image's. ``runs`` (capacity, 3) and ``parent``
     (capacity,) are scratch. Returns -1 when a capacity does not suffice.
     """
     height, width = image.shape
@@ -50,45 +90,27 @@ def connect(image, thresholds, hot, runs, parent, table):
     segments = np.empty((width // 2 + 1, 2), np.int32)
     words = hot.view(np.uint64)
     for block in range(thresholds.shape[0]):
-        mark = hot[block]
         limit = thresholds[block]
-        n_segments = 0
-        x = 0
-        while x < width:
-            # Most of a block is cold: skip it eight columns at a time.
-            if x % 8 == 0 and words[block, x // 8] == 0:
-                x += 8
-                continue
-            if mark[x]:
-                start = x
-                while x < width and mark[x]:
-                    x += 1
-                segments[n_segments, 0] = start
-                segments[n_segments, 1] = x
-                n_segments += 1
-            else:
-                x += 1
+        n_segments = _hot_segments(hot[block], words[block], segments)
         if n_segments == 0:
             continue
         for y in range(block * BLOCK_ROWS, min((block + 1) * BLOCK_ROWS, height)):
             row = image[y]
             first = count
             for s in range(n_segments):
-                start = -1
+                inside = False
                 for x in range(segments[s, 0], segments[s, 1]):
-                    if row[x] > limit[x]:
-                        if start < 0:
-                            start = x
-                    elif start >= 0:
-                        if count == runs.shape[0]:
-                            return -1
-                        runs[count, 0], runs[count, 1], runs[count, 2] = y, start, x
-                        count += 1
-                        start = -1
-                if start >= 0:
-                    if count == runs.shape[0]:
-                        return -1
-                    runs[count, 0], runs[count, 1], runs[count, 2] = y, start, segments[s, 1]
+                    if (row[index(x)] > limit[index(x)]) != inside:
+                        inside = not inside
+                        if inside:
+                            if count == runs.shape[0]:
+                                return -1
+                            runs[count, 0], runs[count, 1] = y, x
+                        else:
+                            runs[count, 2] = x
+                            count += 1
+                if inside:
+                    runs[count, 2] = segments[s, 1]
                     count += 1
             if count == first:
                 continue
@@ -130,8 +152,11 @@ def connect(image, thresholds, hot, runs, parent, table):
         entry[X1] = max(entry[X1], end)
         entry[Y1] = max(entry[Y1], y + 1)
         entry[AREA] += end - start
+        row = image[y]
+        peak, saturated = entry[PEAK], entry[SATURATED]
         for x in range(start, end):
-            value = image[y, x]
-            entry[PEAK] = max(entry[PEAK], value)
-            entry[SATURATED] += value == 255
+            value = row[index(x)]
+            peak = max(peak, value)
+            saturated += value == 255
+        entry[PEAK], entry[SATURATED] = peak, saturated
     return components

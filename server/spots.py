@@ -14,6 +14,7 @@ from asterism.protocol.messages import Fate
 from asterism.server.background import interpolate
 from asterism.server.compiled import compiled, compiled_sums
 from asterism.server.components import AREA, PEAK, X0, X1, Y0, Y1
+from asterism.server.pixels import COUNTS, GREY, LANES, ONE, PX, PY, RISE, SPARE, ZERO, f32, gather_box, pad, room_for
 from asterism.server.watershed import keep_group, watershed
 
 # Columns of the spot table: centre, semi-axes and angle of the ellipse (px, rad), height above the local background,
@@ -66,6 +67,7 @@ BLUR_PX2 = 0.92  # what blur (sigma 0.7 px) and pixels add to the second moments
 CLIP_SIGMAS = 2.5  # and never so low that noise all over the window counts
 UPPER_CLIP = (0.45, 0.85)  # the same where a shoulder of other light is suspected
 UPPER_INSET_PX = 0.33  # how far inside the disc's edge that upper part lies
+BELOW_ALL = f32(-1e6)  # grey levels
 SHOULDER_PX = 0.05  # a centre that moves more between the whole profile and its upper part has other light beside it
 
 
@@ -89,94 +91,100 @@ def _solve3(m00, m01, m02, m11, m12, m22, r0, r1, r2):
     )
 
 
+@compiled_sums
+def _add_up_plane(pixels, n, reach_x, reach_y, level, slope_x, slope_y, below, above, sums):
+    """Fill ``sums`` (9,): number, x, y, xx, xy, yy, and z, xz, yz, over a window's outermost pixels near a plane.
+
+    The outermost pixels are ``reach_x`` or ``reach_y`` px from the middle. z is the height above ``level`` grey levels;
+    left out is what lies more than ``below`` under the plane or ``above`` over it.
+    """
+    xs, ys, values, counts = pixels[PX], pixels[PY], pixels[GREY], pixels[COUNTS]
+    level, slope_x, slope_y, below, above = f32(level), f32(slope_x), f32(slope_y), f32(-below), f32(above)
+    reach_x, reach_y = f32(reach_x), f32(reach_y)
+    number = sx = sy = sxx = sxy = syy = sz = sxz = syz = ZERO
+    for i in range(n // LANES * LANES):
+        x, y, z = xs[i], ys[i], values[i] - level
+        off = z - (slope_x * x + slope_y * y)
+        outermost = abs(x) >= reach_x or abs(y) >= reach_y
+        w = counts[i] if outermost and off >= below and off <= above else ZERO
+        wx, wy = w * x, w * y
+        number += w
+        sx += wx
+        sy += wy
+        sxx += wx * x
+        sxy += wx * y
+        syy += wy * y
+        sz += w * z
+        sxz += wx * z
+        syz += wy * z
+    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = number, sx, sy, sxx, sxy, syy
+    sums[6], sums[7], sums[8] = sz, sxz, syz
+
+
 @compiled
-def _ring_background(image, x0, x1, y0, y1, guess, noise, rise):
-    """Plane through the outermost pixels of the window: level at its centre, slopes, and whether enough were free.
+def _ring_background(pixels, n, cols, rows, guess, noise, rise):
+    """Plane through the outermost of the ``n`` pixels of a window: level at its centre, slopes.
 
     Pixels that belong to something bright (``rise`` above the ``guess``, later beyond three sigma of the plane) are
     left out. Source: least squares; the second fit drops the outliers of the first.
     """
-    cx, cy = 0.5 * (x0 + x1 - 1), 0.5 * (y0 + y1 - 1)
     level, slope_x, slope_y = guess, 0.0, 0.0
-    fitted = False
+    sums = np.empty(9)
     for attempt in range(2):
-        n = sx = sy = sxx = sxy = syy = sz = sxz = syz = 0.0
-        limit = rise if attempt == 0 else 3.0 * noise + 1.0
-        for y in range(y0, y1):
-            step = 1 if y == y0 or y == y1 - 1 else x1 - x0 - 1
-            for x in range(x0, x1, step):
-                u, v, z = x - cx, y - cy, float(image[y, x])
-                off = z - (level + slope_x * u + slope_y * v)
-                if off > limit or (attempt == 1 and off < -limit):
-                    continue
-                n += 1.0
-                sx += u
-                sy += v
-                sxx += u * u
-                sxy += u * v
-                syy += v * v
-                sz += z
-                sxz += u * z
-                syz += v * z
-        if n < 8:
+        above = rise if attempt == 0 else 3.0 * noise + 1.0
+        below = 255.0 if attempt == 0 else above
+        _add_up_plane(
+            pixels, n, 0.5 * (cols - 1), 0.5 * (rows - 1), level, slope_x, slope_y, below, above, sums
+        )  # fmt: skip
+        if sums[0] < 8:
             break
-        a, b, c, solved = _solve3(n, sx, sy, sxx, sxy, syy, sz, sxz, syz)
+        a, b, c, solved = _solve3(
+            sums[0], sums[1], sums[2], sums[3], sums[4], sums[5], sums[6], sums[7], sums[8]
+        )  # fmt: skip
         if not solved:
             break
-        level, slope_x, slope_y = a, b, c
-        fitted = True
-    return level, slope_x, slope_y, fitted
+        level, slope_x, slope_y = level + a, b, c
+    return level, slope_x, slope_y
 
 
 @compiled
-def _ellipse(s, sx, sy, sxx, sxy, syy):
-    """Mean x, y, the larger and the smaller second moment, and the angle of the larger, from raw moments."""
+def _gather_window(image, x0, x1, y0, y1, pixels):
+    """The pixels of a window (exclusive ends), row by row, told from its middle; how many, with the padding."""
+    cx, cy = 0.5 * (x0 + x1 - 1), 0.5 * (y0 + y1 - 1)
+    return pad(pixels, 0, gather_box(image, x0, x1, y0, y1, cx, cy, pixels, 0))
+
+
+@compiled
+def _moments(s, sx, sy, sxx, sxy, syy):
+    """Mean x, y and second moments xx, xy, yy from raw moments."""
     mx, my = sx / s, sy / s
-    vxx, vxy, vyy = sxx / s - mx * mx, sxy / s - mx * my, syy / s - my * my
-    mean = 0.5 * (vxx + vyy)
-    half = math.sqrt((0.5 * (vxx - vyy)) ** 2 + vxy * vxy)
-    return mx, my, mean + half, max(mean - half, 0.0), 0.5 * math.atan2(2.0 * vxy, vxx - vyy)
+    return mx, my, sxx / s - mx * mx, sxy / s - mx * my, syy / s - my * my
+
+
+@compiled
+def _ellipse(xx, xy, yy):
+    """The larger and the smaller second moment, and the angle of the larger."""
+    mean = 0.5 * (xx + yy)
+    half = math.sqrt((0.5 * (xx - yy)) ** 2 + xy * xy)
+    return mean + half, max(mean - half, 0.0), 0.5 * math.atan2(2.0 * xy, xx - yy)
 
 
 @compiled_sums
-def _gather_window(image, x0, x1, y0, y1, spot, pixels):
-    """Fill ``pixels`` (4, capacity) with x, y from the window's corner, height above the plane, level; how many."""
-    width = x1 - x0
-    level = spot[LEVEL] - 0.5 * spot[SLOPE_X] * (width - 1) - 0.5 * spot[SLOPE_Y] * (y1 - y0 - 1)
-    us, vs, zs, values = pixels[0], pixels[1], pixels[2], pixels[3]
-    slope_x, slope_y = spot[SLOPE_X], spot[SLOPE_Y]
-    n = 0
-    for y in range(y1 - y0):
-        base = level + slope_y * y
-        for x in range(width):
-            value = float(image[y0 + y, x0 + x])
-            us[n + x] = x
-            vs[n + x] = y
-            zs[n + x] = value - (base + slope_x * x)
-            values[n + x] = value
-        n += width
-    return n
+def _rise_above_plane(pixels, n, spot):
+    """Fill the row RISE with the heights above the spot's background plane; below everything what does not count."""
+    xs, ys, values, counts, rises = pixels[PX], pixels[PY], pixels[GREY], pixels[COUNTS], pixels[RISE]
+    level, slope_x, slope_y = f32(spot[LEVEL]), f32(spot[SLOPE_X]), f32(spot[SLOPE_Y])
+    for i in range(n // LANES * LANES):
+        rise = values[i] - (level + slope_x * xs[i] + slope_y * ys[i])
+        rises[i] = rise if counts[i] > ZERO else BELOW_ALL
 
 
 @compiled
-def _keep_label(labels, label, n, pixels):
-    """Keep only the pixels of a window that have this label; how many."""
-    kept = 0
-    for i in range(n):
-        if labels[i] == label:
-            for k in range(4):
-                pixels[k, kept] = pixels[k, i]
-            kept += 1
-    return kept
-
-
-@compiled
-def _brightest(pixels, n):
+def _brightest(rises, n):
     """The brightest pixel's height, and the mean of the three brightest."""
-    zs = pixels[2]
-    first = second = third = 0.0
+    first = second = third = ZERO
     for i in range(n):
-        z = zs[i]
+        z = rises[i]
         if z > third:
             if z > first:
                 first, second, third = z, first, second
@@ -184,7 +192,7 @@ def _brightest(pixels, n):
                 second, third = z, second
             else:
                 third = z
-    return first, (first + second + third) / 3.0
+    return float(first), (float(first) + float(second) + float(third)) / 3.0
 
 
 @compiled_sums
@@ -192,17 +200,17 @@ def _add_up(pixels, n, height, noise, sums):
     """Fill ``sums`` (15,): six raw moments of the clipped profile, six of its upper part, the pixels above half height,
     the saturated ones among them, all light.
     """
-    low, high = max(CLIP[0] * height, CLIP_SIGMAS * noise), CLIP[1] * height
-    upper_low, upper_high = UPPER_CLIP[0] * height, UPPER_CLIP[1] * height
-    half = 0.5 * height
-    us, vs, zs, values = pixels[0], pixels[1], pixels[2], pixels[3]
-    s = sx = sy = sxx = sxy = syy = 0.0
-    t = tx = ty = txx = txy = tyy = 0.0
-    area = saturated = total = 0.0
-    for i in range(n):
+    low, high = f32(max(CLIP[0] * height, CLIP_SIGMAS * noise)), f32(CLIP[1] * height)
+    upper_low, upper_high = f32(UPPER_CLIP[0] * height), f32(UPPER_CLIP[1] * height)
+    half, ceiling = f32(0.5 * height), f32(255.0)
+    us, vs, zs, values = pixels[PX], pixels[PY], pixels[RISE], pixels[GREY]
+    s = sx = sy = sxx = sxy = syy = ZERO
+    t = tx = ty = txx = txy = tyy = ZERO
+    area = saturated = total = ZERO
+    for i in range(n // LANES * LANES):
         u, v, z = us[i], vs[i], zs[i]
-        total += max(z, 0.0)
-        q = max(min(z, high) - low, 0.0)
+        total += max(z, ZERO)
+        q = max(min(z, high) - low, ZERO)
         qu, qv = q * u, q * v
         s += q
         sx += qu
@@ -210,7 +218,7 @@ def _add_up(pixels, n, height, noise, sums):
         sxx += qu * u
         sxy += qu * v
         syy += qv * v
-        q = max(min(z, upper_high) - upper_low, 0.0)
+        q = max(min(z, upper_high) - upper_low, ZERO)
         qu, qv = q * u, q * v
         t += q
         tx += qu
@@ -218,26 +226,25 @@ def _add_up(pixels, n, height, noise, sums):
         txx += qu * u
         txy += qu * v
         tyy += qv * v
-        area += 1.0 if z > half else 0.0
-        saturated += 1.0 if z > half and values[i] >= 255.0 else 0.0
+        area += ONE if z > half else ZERO
+        saturated += ONE if z > half and values[i] >= ceiling else ZERO
     sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = s, sx, sy, sxx, sxy, syy
     sums[6], sums[7], sums[8], sums[9], sums[10], sums[11] = t, tx, ty, txx, txy, tyy
     sums[12], sums[13], sums[14] = area, saturated, total
 
 
 @compiled
-def _shape(image, labels, label, x0, x1, y0, y1, spot, pixels):
+def _shape(pixels, n, x0, x1, y0, y1, spot):
     """Centre and ellipse of a spot from the moments of its profile, clipped from below and above.
 
-    Only the pixels of ``label`` count (all pixels of the window if it is -1). Other light that leans on the spot
+    ``pixels`` are the ``n`` of its window, from `_gather_window`. Other light that leans on the spot
     pulls the foot of the profile more than its upper part; where the two centres differ by more than noise explains,
     the upper part alone gives the shape. Fills X, Y, SEMI_A, SEMI_B, ANGLE, HEIGHT, SHOULDER and SATURATED_SHARE;
-    returns the area at half height and the share of the light that the brightest pixel has. ``pixels`` is scratch.
+    returns the area at half height and the share of the light that the brightest pixel has.
     """
-    n = _gather_window(image, x0, x1, y0, y1, spot, pixels)
-    if label >= 0:
-        n = _keep_label(labels, label, n, pixels)
-    first, height = _brightest(pixels, n)
+    cx, cy = 0.5 * (x0 + x1 - 1), 0.5 * (y0 + y1 - 1)
+    _rise_above_plane(pixels, n, spot)
+    first, height = _brightest(pixels[RISE], n)
     spot[HEIGHT] = height
     sums = np.empty(15)
     _add_up(pixels, n, height, spot[NOISE], sums)
@@ -245,23 +252,23 @@ def _shape(image, labels, label, x0, x1, y0, y1, spot, pixels):
     spot[SATURATED_SHARE] = sums[13] / max(area, 1)
     spot[SHOULDER] = 0.0
     if sums[0] <= 0.0 or sums[6] <= 0.0:
-        spot[X], spot[Y] = 0.5 * (x0 + x1 - 1), 0.5 * (y0 + y1 - 1)
+        spot[X], spot[Y] = cx, cy
         spot[SEMI_A], spot[SEMI_B], spot[ANGLE] = 0.5, 0.5, 0.0
         return area, 1.0
-    mx, my, large, small, angle = _ellipse(sums[0], sums[1], sums[2], sums[3], sums[4], sums[5])
-    ux, uy, upper_large, upper_small, upper_angle = _ellipse(sums[6], sums[7], sums[8], sums[9], sums[10], sums[11])
-    shoulder = math.hypot(mx - ux, my - uy)
+    mx, my, xx, xy, yy = _moments(sums[0], sums[1], sums[2], sums[3], sums[4], sums[5])
+    ux, uy, upper_xx, upper_xy, upper_yy = _moments(sums[6], sums[7], sums[8], sums[9], sums[10], sums[11])
+    shoulder = math.sqrt((mx - ux) ** 2 + (my - uy) ** 2)
     if shoulder > SHOULDER_PX + 2.5 * spot[NOISE] / height:
         spot[SHOULDER] = shoulder
-        spot[X], spot[Y] = x0 + ux, y0 + uy
-        spot[SEMI_A] = math.sqrt(4.0 * upper_large) + UPPER_INSET_PX
-        spot[SEMI_B] = math.sqrt(4.0 * upper_small) + UPPER_INSET_PX
-        spot[ANGLE] = upper_angle
+        spot[X], spot[Y] = cx + ux, cy + uy
+        large, small, spot[ANGLE] = _ellipse(upper_xx, upper_xy, upper_yy)
+        spot[SEMI_A] = math.sqrt(4.0 * large) + UPPER_INSET_PX
+        spot[SEMI_B] = math.sqrt(4.0 * small) + UPPER_INSET_PX
     else:
-        spot[X], spot[Y] = x0 + mx, y0 + my
+        spot[X], spot[Y] = cx + mx, cy + my
+        large, small, spot[ANGLE] = _ellipse(xx, xy, yy)
         spot[SEMI_A] = math.sqrt(max(4.0 * large - BLUR_PX2, 0.16))
         spot[SEMI_B] = math.sqrt(max(4.0 * small - BLUR_PX2, 0.16))
-        spot[ANGLE] = angle
     return area, first / max(sums[14], 1e-9)
 
 
@@ -315,8 +322,7 @@ def measure_spots(image, thresholds, table, n_components, level, noise, sigmas, 
     height, width = image.shape
     labels = np.empty(0, np.int32)
     regions = np.empty((512, 4))
-    nothing = np.empty(0, np.int32)
-    pixels = np.empty((4, 1024))
+    pixels = room_for(1024)
     count = 0
     for k in range(n_components):
         component = table[k]
@@ -350,12 +356,13 @@ def measure_spots(image, thresholds, table, n_components, level, noise, sigmas, 
             count += 1
             continue
         cells = (wx1 - wx0) * (wy1 - wy0)
-        if pixels.shape[1] < cells:
-            pixels = np.empty((4, cells))
-        spot[LEVEL], spot[SLOPE_X], spot[SLOPE_Y], _ = _ring_background(
-            image, wx0, wx1, wy0, wy1, base, rough, faintest
+        if pixels.shape[1] < cells + SPARE:
+            pixels = room_for(cells)
+        n = _gather_window(image, wx0, wx1, wy0, wy1, pixels)
+        spot[LEVEL], spot[SLOPE_X], spot[SLOPE_Y] = _ring_background(
+            pixels, n, wx1 - wx0, wy1 - wy0, base, rough, faintest
         )
-        area, share = _shape(image, nothing, -1, wx0, wx1, wy0, wy1, spot, pixels)
+        area, share = _shape(pixels, n, wx0, wx1, wy0, wy1, spot)
         if spot[SHOULDER] == 0.0 and _looks_single(component, spot, area) and not _at_edge(image, x0, x1, y0, y1):
             spot[FATE] = _judge(spot, area, share, faintest, largest_radius)
             count += 1
@@ -421,21 +428,21 @@ def _measure_regions(image, labels, regions, n_regions, whole, faintest, largest
             continue
         x0, x1 = max(boxes[region, 0] - REGION_MARGIN_PX, wx0), min(boxes[region, 1] + REGION_MARGIN_PX, wx1)
         y0, y1 = max(boxes[region, 2] - REGION_MARGIN_PX, wy0), min(boxes[region, 3] + REGION_MARGIN_PX, wy1)
-        own = np.empty((x1 - x0) * (y1 - y0), np.int32)
-        for y in range(y0, y1):
-            for x in range(x0, x1):
-                label = labels[(y - wy0) * width + x - wx0]
-                # The free surroundings count as the spot's own; other regions do not.
-                own[(y - y0) * (x1 - x0) + x - x0] = region if label in (region, -1) else -2
         spot = spots[count]
         spot[:] = whole
         spot[WX0], spot[WX1], spot[WY0], spot[WY1] = x0, x1, y0, y1
         spot[TOUCHING] = alone > 1
         around = _ring_quartile(image, x0, x1, y0, y1)
-        spot[LEVEL], spot[SLOPE_X], spot[SLOPE_Y], _ = _ring_background(
-            image, x0, x1, y0, y1, around, whole[NOISE], faintest
+        n = _gather_window(image, x0, x1, y0, y1, pixels)
+        spot[LEVEL], spot[SLOPE_X], spot[SLOPE_Y] = _ring_background(
+            pixels, n, x1 - x0, y1 - y0, around, whole[NOISE], faintest
         )
-        area, share = _shape(image, own, region, x0, x1, y0, y1, spot, pixels)
+        for y in range(y0, y1):
+            for x in range(x0, x1):
+                # The free surroundings count as the spot's own; other regions do not.
+                if labels[(y - wy0) * width + x - wx0] not in (region, -1):
+                    pixels[COUNTS, (y - y0) * (x1 - x0) + x - x0] = ZERO
+        area, share = _shape(pixels, n, x0, x1, y0, y1, spot)
         spot[FATE] = AT_EDGE if cut[region] else _judge(spot, area, share, faintest, largest_radius)
         count += 1
     return count
