@@ -45,7 +45,8 @@ SIZE_SIGMA = 0.1
 SHAPE_STEPS = 2
 SATURATED_SHAPE_STEPS = 6  # where the top is cut off, rise and size are found from the flanks alone
 MANY_SATURATED = 0.05  # share of the spot's pixels
-NEAR_PX = 2.0  # outside the edge, within which pixels tell of the spot's shape
+NEAR_PX = 3.0  # outside the edge, within which pixels tell of the spot's shape
+SQUARE = 0.5 * math.sqrt(math.pi)  # half the side of the square as large as the unit disc
 LONGEST_STEP_PX = 0.7
 EVENNESS = 0.004  # of a spot's light: how uneven the model's own error leaves what is outside the ellipse, one sigma
 NEIGHBOUR_MARGIN_PX = 1.0  # pixels nearer than this to another spot are left out
@@ -358,7 +359,7 @@ def gather_pixels(image, spot, neighbours, pixels):
     """
     x0, x1, y0, y1 = int(spot[WX0]), int(spot[WX1]), int(spot[WY0]), int(spot[WY1])
     middle_x, middle_y = 0.5 * (spot[WX0] + spot[WX1] - 1.0), 0.5 * (spot[WY0] + spot[WY1] - 1.0)
-    reach = spot[SEMI_A] + NEAR_PX
+    reach = SQUARE * (spot[SEMI_A] + NEAR_PX)
     left, right = max(x0, math.ceil(spot[X] - reach)), min(x1, math.floor(spot[X] + reach) + 1)
     top, bottom = max(y0, math.ceil(spot[Y] - reach)), min(y1, math.floor(spot[Y] + reach) + 1)
     gathered = gather_box(image, left, right, top, bottom, middle_x, middle_y, pixels, 0)
