@@ -9,9 +9,7 @@ median of their neighbours where those are darker.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
 
 TILE_PX = 128
@@ -189,15 +187,11 @@ def seed_thresholds(level, noise, sigmas, least, height, width, thresholds):
             now[x] += change[x]
 
 
-def tile_shape(height: int, width: int) -> tuple[int, int]:
-    """How many tiles an (h, w) image has along y and x."""
-    return max(1, round(height / TILE_PX)), max(1, round(width / TILE_PX))
-
-
-def background_of(image: NDArray[np.uint8]) -> tuple[Floats, Floats]:
+@compiled
+def background_of(image):
     """Level and noise maps (tiles_y, tiles_x), grey levels, of an (h, w) uint8 image."""
-    level = np.empty(tile_shape(*image.shape))
-    noise = np.empty_like(level)
+    height, width = image.shape
+    tiles = (max(1, round(height / TILE_PX)), max(1, round(width / TILE_PX)))
+    level, noise = np.empty(tiles), np.empty(tiles)
     measure_background(image, level, noise)
-    cleaned: tuple[Floats, Floats] = discount_lamps(level, noise)
-    return cleaned
+    return discount_lamps(level, noise)

@@ -7,15 +7,14 @@ from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import Fate
-from asterism.server.background import BLOCK_ROWS, background_of, seed_thresholds
+from asterism.server.background import BLOCK_ROWS
 from asterism.server.centre import ESTIMATOR_NUMBERS, refine_centres
-from asterism.server.components import COMPONENT_COLUMNS, connect, hot_width, mark_hot_columns
-from asterism.server.spots import FATE, HEIGHT, SEMI_A, SEMI_B, SPOT_COLUMNS, measure_spots
+from asterism.server.components import COMPONENT_COLUMNS, hot_width
+from asterism.server.segment import describe, segment
+from asterism.server.spots import SPOT_COLUMNS
 
 Ints = NDArray[np.int64]
 
-SEED_SIGMAS = 5.0  # a pixel this far above its background may belong to a spot
-SEED_LEAST = 6.0  # grey levels; below that quantisation rules
 MOST_RUNS = 60_000
 MOST_SPOTS = 4_000
 
@@ -70,42 +69,16 @@ def find_blobs(
 ) -> Blobs:
     """Segment an (h, w) uint8 image and centre what looks like an LED.
 
-    ``masks`` (m, 4) are x0, y0, x1, y1 px inclusive; ``estimator`` is one of protocol.rig.ESTIMATORS. A frame so full
-    of bright texture that its components overflow the tables is segmented again with higher seed thresholds.
+    ``masks`` (m, 4) are x0, y0, x1, y1 px inclusive; ``estimator`` is one of protocol.rig.ESTIMATORS.
     """
-    height, width = image.shape
-    level, noise = background_of(image)
-    sigmas, least = SEED_SIGMAS, SEED_LEAST
-    while True:
-        seed_thresholds(level, noise, sigmas, least, height, width, scratch.thresholds)
-        mark_hot_columns(image, scratch.thresholds, scratch.hot)
-        count = connect(image, scratch.thresholds, scratch.hot, scratch.runs, scratch.parent, scratch.components)
-        if count >= 0:
-            break
-        sigmas, least = 1.5 * sigmas, 1.5 * least
-    n = measure_spots(
-        image,
-        scratch.thresholds,
-        scratch.components,
-        count,
-        level,
-        noise,
-        sigmas,
-        least,
-        largest_radius_px,
-        masks,
-        scratch.spots,
-    )
+    n = segment(
+        image, largest_radius_px, masks, scratch.thresholds, scratch.hot, scratch.runs,
+        scratch.parent, scratch.components, scratch.spots,
+    )  # fmt: skip
     spots = scratch.spots[:n].copy()
     centres, covariances = np.empty((n, 2)), np.empty((n, 3))
     refine_centres(image, spots, ESTIMATOR_NUMBERS[estimator], centres, covariances)
-    return Blobs(
-        centres,
-        covariances,
-        spots[:, HEIGHT].copy(),
-        np.sqrt(spots[:, SEMI_A] * spots[:, SEMI_B]),
-        spots[:, FATE].astype(np.int64),
-        np.full(n, -1),
-        np.full(n, -1),
-        spots,
-    )
+    heights, radii = np.empty(n), np.empty(n)
+    fates, robots, leds = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    describe(spots, heights, radii, fates, robots, leds)
+    return Blobs(centres, covariances, heights, radii, fates, robots, leds, spots)

@@ -4,7 +4,6 @@ import numpy as np
 
 from asterism.protocol.camera import check_image_size
 from asterism.protocol.errors import InputError
-from asterism.protocol.messages import Fate
 from asterism.protocol.rig import Rig
 from asterism.server.blobs import Blobs, find_blobs
 from asterism.server.centre import refine_leaning
@@ -12,8 +11,9 @@ from asterism.server.choose import choose
 from asterism.server.fit import LEDS
 from asterism.server.frame import Frame, FrameResult
 from asterism.server.identify import Matches, Rays, identify, rays_of
-from asterism.server.lens import undistort
+from asterism.server.lens import undistort, undistort_kept
 from asterism.server.plan import Plan, plan_for
+from asterism.server.segment import tell_whose
 from asterism.server.solve import Alternative, Lost, PoseEstimate, solve_robots
 from asterism.server.track import Tracks
 
@@ -52,12 +52,10 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
 
 def _rays(blobs: Blobs, plan: Plan) -> Rays:
     """The kept spots, undistorted; what no ray of the lens model reaches is left out."""
-    rows = blobs.kept
-    rays, covariances = np.empty((len(rows), 2)), np.empty((len(rows), 3))
-    undistort(plan.lens, blobs.centres_px[rows], blobs.covariances_px2[rows], rays, covariances)
-    good = np.isfinite(rays[:, 0])
-    if not good.all():
-        rows, rays, covariances = rows[good], rays[good], covariances[good]
+    n = len(blobs)
+    rows, rays, covariances = np.empty(n, np.int64), np.empty((n, 2)), np.empty((n, 3))
+    count = undistort_kept(plan.lens, blobs.fates, blobs.centres_px, blobs.covariances_px2, rows, rays, covariances)
+    rows, rays, covariances = rows[:count], rays[:count], covariances[:count]
     return rays_of(blobs, rows, rays, covariances, plan.focal)
 
 
@@ -82,23 +80,19 @@ def _answers(
         known.numbers, best, odds, positions, quaternions, parent_covariances,
     )  # fmt: skip
     # What can be done for all robots at once is; Python is slow at small arrays.
-    visible = matches.assignment >= 0
-    counts = visible.sum(axis=1)
-    left = residuals[np.arange(m), best]
-    rms = np.sqrt((left * left).sum(axis=(1, 2)) / np.maximum(counts, 1)).tolist()
-    spots = np.where(visible, seen.rows[matches.assignment], -1)
-    told = visible & (best >= 0)[:, None]
-    owners, leds = np.nonzero(told)
-    rows = spots[told]
-    blobs.fates[rows], blobs.robots[rows], blobs.leds[rows] = Fate.LED, matches.robots[owners], leds
+    spots, left, rms = np.empty((m, LEDS), np.int64), np.empty((m, LEDS, 2)), np.empty(m)
+    tell_whose(
+        matches.robots, matches.assignment, seen.rows, best, residuals, blobs.fates, blobs.robots, blobs.leds,
+        spots, left, rms,
+    )  # fmt: skip
     found: dict[int, PoseEstimate | Lost] = {}
-    for k, (index, chosen, odd, count, spots_k) in enumerate(
-        zip(matches.robots.tolist(), best.tolist(), odds.tolist(), counts.tolist(), spots.tolist(), strict=True)
+    for k, (index, chosen, odd, rms_k, spots_k) in enumerate(
+        zip(matches.robots.tolist(), best.tolist(), odds.tolist(), rms.tolist(), spots.tolist(), strict=True)
     ):
         if chosen < 0:
             found[index] = Lost("no pose that faces the camera explains its spots")
             continue
-        lit = ALL_LEDS if count == len(ALL_LEDS) else tuple(led for led in ALL_LEDS if spots_k[led] >= 0)
+        lit = ALL_LEDS if -1 not in spots_k else tuple(led for led in ALL_LEDS if spots_k[led] >= 0)
         found[index] = PoseEstimate(
             position=positions[k, 0],
             orientation=quaternions[k, 0],
@@ -106,7 +100,7 @@ def _answers(
             leds=lit,
             spots=tuple(spots_k) if lit is ALL_LEDS else tuple(spots_k[led] for led in lit),
             residuals_px=left[k] if lit is ALL_LEDS else left[k, list(lit)],
-            rms_px=rms[k],
+            rms_px=rms_k,
             alternative=Alternative(positions[k, 1], quaternions[k, 1], odd) if odd < SURE else None,
         )
     return {

@@ -25,7 +25,12 @@ from asterism.protocol.camera import Camera
 from asterism.protocol.geometry import Pose, angle_between
 from asterism.protocol.rig import Rig
 from asterism.server import Frame, PoseEstimate, Tracks, blobs, localize, pipeline
+from asterism.server.background import background_of, seed_thresholds
+from asterism.server.components import connect, mark_hot_columns
+from asterism.server.plan import plan_for
+from asterism.server.segment import SEED_LEAST, SEED_SIGMAS
 from asterism.server.simulate import Scene
+from asterism.server.spots import measure_spots
 from tests.measure import tags
 from tests.measure.plain_chain import PlainChain
 from tests.rigs import make_camera, make_rig
@@ -42,8 +47,7 @@ STYLES = {
     FOLLOWING: "C0o-", ALONE: "C1s-", PLAIN: "C2^-", tags.Aruco.name: "C3D-", tags.AprilTags.name: "C4v-", MEMORY: "k:",
 }  # fmt: skip
 STAGES = (
-    (blobs, "background_of"), (blobs, "seed_thresholds"), (blobs, "mark_hot_columns"), (blobs, "connect"),
-    (blobs, "measure_spots"), (blobs, "refine_centres"), (pipeline, "_rays"), (pipeline, "identify"),
+    (blobs, "segment"), (blobs, "refine_centres"), (pipeline, "_rays"), (pipeline, "identify"),
     (pipeline, "refine_leaning"), (pipeline, "solve_robots"), (pipeline, "choose"),
 )  # fmt: skip
 
@@ -133,6 +137,32 @@ def run_tags(
             results[detector.name].judge(poses, true)
 
 
+def parts_of_segment(rig: Rig, images: list[NDArray[np.uint8]]) -> dict[str, list[float]]:
+    """Times, us, of the kernels that `segment` calls, each on its own on every frame."""
+    taken: dict[str, list[float]] = defaultdict(list)
+    plan = plan_for(rig)
+    scratch = plan.borrow_scratch()
+
+    def timed(kernel: Callable[..., Any], *arguments: Any) -> Any:
+        start = time.perf_counter()
+        value = kernel(*arguments)
+        taken[kernel.__name__].append((time.perf_counter() - start) * 1e6)
+        return value
+
+    for image in 3 * images:
+        level, noise = timed(background_of, image)
+        seeds = (SEED_SIGMAS, SEED_LEAST)
+        timed(seed_thresholds, level, noise, *seeds, *image.shape, scratch.thresholds)
+        timed(mark_hot_columns, image, scratch.thresholds, scratch.hot)
+        tables = (scratch.runs, scratch.parent, scratch.components)
+        count = timed(connect, image, scratch.thresholds, scratch.hot, *tables)
+        limits = (*seeds, plan.largest_radius_px, plan.masks)
+        timed(
+            measure_spots, image, scratch.thresholds, scratch.components, count, level, noise, *limits, scratch.spots
+        )  # fmt: skip
+    return {kernel: times_us[len(images) :] for kernel, times_us in taken.items()}
+
+
 def stages(rig: Rig) -> Table:
     """Where the time of following goes: each stage's share."""
     taken: dict[str, list[float]] = defaultdict(list)
@@ -172,6 +202,9 @@ def stages(rig: Rig) -> Table:
     whole = float(np.median(taken["the whole frame"]))
     for _, name in STAGES:
         table.add_row(name.strip("_"), f"{np.median(taken[name]):.0f}")
+        if name == "segment":
+            for kernel, times_us in parts_of_segment(rig, images).items():
+                table.add_row(f"  {kernel}", f"{np.median(times_us):.0f}")
     rest = whole - sum(float(np.median(taken[name])) for _, name in STAGES)
     table.add_row("rest (Python)", f"{rest:.0f}")
     table.add_row("the whole frame", f"{whole:.0f}")
