@@ -53,7 +53,7 @@ class Scratch:
     def __init__(self, height: int, width: int) -> None:
         blocks = (height + BLOCK_ROWS - 1) // BLOCK_ROWS
         self.thresholds = np.empty((blocks, width), np.uint8)
-        self.hot = np.zeros((blocks, hot_width(width)), np.uint8)
+        self.hot = np.zeros(hot_width(width), np.uint8)
         self.runs = np.empty((MOST_RUNS, 3), np.int32)
         self.parent = np.empty(MOST_RUNS, np.int32)
         self.components = np.empty((MOST_SPOTS, COMPONENT_COLUMNS), np.int32)

@@ -1,8 +1,8 @@
 """Connected components of the pixels above their seed threshold, touching only the hot places of the frame.
 
-One pass over the frame marks, per block of eight rows, the columns in which any pixel exceeds its threshold (the
-compiler turns it into SIMD code that runs at memory speed). Only marked columns are looked at again, row by row, as
-runs that are joined to components (8-neighbourhood) by union-find.
+One pass over the frame marks, block of eight rows by block, the columns in which any pixel exceeds its threshold (the
+compiler turns it into SIMD code that runs at memory speed). Only marked columns are looked at again, row by row, while
+the block is in the cache, as runs that are joined to components (8-neighbourhood) by union-find.
 """
 
 import numpy as np
@@ -24,17 +24,13 @@ def hot_width(width: int) -> int:
 
 
 @compiled
-def mark_hot_columns(image, thresholds, hot):
-    """Set ``hot`` (blocks, w or more) uint8 where a block of rows has a pixel above its threshold."""
-    height, width = image.shape
-    for block in range(thresholds.shape[0]):
-        limit = thresholds[block]
-        mark = hot[block, :width]
-        mark[:] = 0
-        for y in range(block * BLOCK_ROWS, min((block + 1) * BLOCK_ROWS, height)):
-            row = image[y]
-            for x in range(width):
-                mark[x] |= row[x] > limit[x]
+def _mark_hot_columns(image, limit, y0, y1, mark):
+    """Set ``mark`` (w,) where a row from ``y0`` to ``y1`` (exclusive) has a pixel above the ``limit`` (w,)."""
+    mark[:] = 0
+    for y in range(y0, y1):
+        row = image[y]
+        for x in range(mark.shape[0]):
+            mark[x] |= row[x] > limit[x]
 
 
 @compiled
@@ -49,22 +45,23 @@ def _root(parent, k):
 def _hot_segments(mark, words, segments):
     """Fill ``segments`` (capacity, 2) with first and last column but one of every hot stretch; return how many.
 
-    ``mark`` (w,) are a block's marks, ``words`` (w / 8,) the same eight at a time.
+    ``mark`` (hot_width,) are a block's marks, ``words`` (hot_width / 8,) the same eight at a time.
     """
     count = 0
     inside = False
     for place in range(0, words.shape[0], 8):
         # Most of a block is cold: skip it 64 columns at a time.
-        if not inside and not (
-            words[place] | words[place + 1] | words[place + 2] | words[place + 3]
-            | words[place + 4] | words[place + 5] | words[place + 6] | words[place + 7]
-        ):  # fmt: skip
-            continue
+        if not inside:
+            any_hot = words[index(place)]
+            for k in range(1, 8):
+                any_hot |= words[index(place + k)]
+            if any_hot == 0:
+                continue
         for word in range(place, place + 8):
-            if not inside and words[word] == 0:
+            if not inside and words[index(word)] == 0:
                 continue
             for x in range(8 * word, 8 * word + 8):
-                if (mark[x] != 0) != inside:
+                if (mark[index(x)] != 0) != inside:
                     inside = not inside
                     if inside:
                         segments[count, 0] = x
@@ -81,8 +78,8 @@ def _hot_segments(mark, words, segments):
 def connect(image, thresholds, hot, runs, parent, table):
     """Fill ``table`` (capacity, COMPONENT_COLUMNS) int32 with the components; return how many there are.
 
-    ``hot`` has the width `hot_width` says, zero beyond the image's. ``runs`` (capacity, 3) and ``parent``
-    (capacity,) are scratch. Returns -1 when a capacity does not suffice.
+    ``hot`` (hot_width,) uint8, zero beyond the image's width, ``runs`` (capacity, 3) and ``parent`` (capacity,) are
+    scratch. Returns -1 when a capacity does not suffice.
     """
     height, width = image.shape
     count = 0
@@ -91,10 +88,12 @@ def connect(image, thresholds, hot, runs, parent, table):
     words = hot.view(np.uint64)
     for block in range(thresholds.shape[0]):
         limit = thresholds[block]
-        n_segments = _hot_segments(hot[block], words[block], segments)
+        y0, y1 = block * BLOCK_ROWS, min((block + 1) * BLOCK_ROWS, height)
+        _mark_hot_columns(image, limit, y0, y1, hot[:width])
+        n_segments = _hot_segments(hot, words, segments)
         if n_segments == 0:
             continue
-        for y in range(block * BLOCK_ROWS, min((block + 1) * BLOCK_ROWS, height)):
+        for y in range(y0, y1):
             row = image[y]
             first = count
             for s in range(n_segments):

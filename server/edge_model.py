@@ -133,11 +133,11 @@ def _weight(value, told, variance, counts, loose, limit):
 
 
 @compiled_sums
-def add_up_shape(pixels, n, p, spot, floor, gain, strange, sums):
+def add_up_shape(pixels, n, p, spot, cos, sin, floor, gain, strange, sums):
     """Information and score of the even block, and of the centre alone, over the first ``n`` of ``pixels``.
 
-    ``p`` (PARAMETERS,) are the model's; ``floor`` and ``gain`` make the pixels' variances; ``strange``: leave out
-    pixels with more light than the model can be wrong by. Fills M_, Q_, N_XX, N_XY, N_YY, R_X and R_Y of ``sums``
+    ``p`` (PARAMETERS,) are the model's, ``cos`` and ``sin`` those of its angle; ``floor`` and ``gain`` make the pixels'
+    variances; ``strange``: leave out pixels with more light than the model can be wrong by. Fills M_, Q_, N_XX, N_XY, N_YY, R_X and R_Y of ``sums``
     (SUMS,).
     """
     xs, ys, values, counts = pixels[PX], pixels[PY], pixels[GREY], pixels[COUNTS]
@@ -145,7 +145,7 @@ def add_up_shape(pixels, n, p, spot, floor, gain, strange, sums):
     level, rise, per_blur = f32(p[BASE]), f32(p[RISE]), f32(1.0 / p[BLUR])
     a, b = spot[SEMI_A] * p[SIZE_A], spot[SEMI_B] * p[SIZE_B]
     per_a2, per_b2 = f32(1.0 / (a * a)), f32(1.0 / (b * b))
-    cos, sin = f32(math.cos(spot[ANGLE])), f32(math.sin(spot[ANGLE]))
+    cos, sin = f32(cos), f32(sin)
     floor, gain, loose = f32(floor), f32(gain), f32((MODEL_ERROR * p[RISE]) ** 2)
     limit = f32(STRANGE_LIGHT * STRANGE_LIGHT if strange else 1e18)
     n_xx = n_xy = n_yy = n_xu = n_xv = n_yu = n_yv = n_uu = n_uv = n_vv = r_x = r_y = r_u = r_v = ZERO
@@ -213,7 +213,7 @@ def add_up_shape(pixels, n, p, spot, floor, gain, strange, sums):
 
 
 @compiled_sums
-def add_up_centre(pixels, n, p, spot, floor, gain, sums):
+def add_up_centre(pixels, n, p, spot, cos, sin, floor, gain, sums):
     """Information and score of the odd block and of the level, the misfit, and light to one side, over ``n`` pixels.
 
     Arguments as in `add_up_shape`. Fills N_, R_, M_LL, Q_L, and all from CHI2 on, of ``sums`` (SUMS,). Light outside
@@ -225,7 +225,7 @@ def add_up_centre(pixels, n, p, spot, floor, gain, sums):
     level, rise, per_blur = f32(p[BASE]), f32(p[RISE]), f32(1.0 / p[BLUR])
     a, b = spot[SEMI_A] * p[SIZE_A], spot[SEMI_B] * p[SIZE_B]
     per_a2, per_b2 = f32(1.0 / (a * a)), f32(1.0 / (b * b))
-    cos, sin = f32(math.cos(spot[ANGLE])), f32(math.sin(spot[ANGLE]))
+    cos, sin = f32(cos), f32(sin)
     floor, gain, loose = f32(floor), f32(gain), f32((MODEL_ERROR * p[RISE]) ** 2)
     limit = f32(STRANGE_LIGHT * STRANGE_LIGHT)
     n_xx = n_xy = n_yy = n_xu = n_xv = n_yu = n_yv = n_uu = n_uv = n_vv = r_x = r_y = r_u = r_v = ZERO
@@ -392,17 +392,18 @@ def fit_edge_model(image, spot, neighbours, gain, pixels, sums, p, m, q, out):
     near, n = gather_pixels(image, spot, neighbours, pixels)
     middle_x, middle_y = 0.5 * (spot[WX0] + spot[WX1] - 1.0), 0.5 * (spot[WY0] + spot[WY1] - 1.0)
     floor = spot[NOISE] * spot[NOISE] + 0.02
+    cos, sin = math.cos(spot[ANGLE]), math.sin(spot[ANGLE])
     p[CX], p[CY] = spot[X] - middle_x, spot[Y] - middle_y
     p[SX], p[SY] = spot[SLOPE_X], spot[SLOPE_Y]
     p[BASE] = spot[LEVEL] + p[SX] * p[CX] + p[SY] * p[CY]
     p[RISE], p[SIZE_A], p[SIZE_B], p[BLUR] = spot[HEIGHT], 1.0, 1.0, BLUR_PX
     steps = SATURATED_SHAPE_STEPS if spot[SATURATED_SHARE] > MANY_SATURATED else SHAPE_STEPS
     for trial in range(steps):
-        add_up_shape(pixels, near, p, spot, floor, gain, trial > 0, sums)
+        add_up_shape(pixels, near, p, spot, cos, sin, floor, gain, trial > 0, sums)
         _improve_centre(sums, p)
         _improve_shape(sums, p, spot[HEIGHT], m, q)
     # Away from the edge there is little to learn, but of other light: only the last step looks at it.
-    add_up_centre(pixels, n, p, spot, floor, gain, sums)
+    add_up_centre(pixels, n, p, spot, cos, sin, floor, gain, sums)
     xx, xy, yy, told = _improve_centre(sums, p)
     det = xx * yy - xy * xy
     a = spot[SEMI_A]

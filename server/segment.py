@@ -8,7 +8,7 @@ import math
 from asterism.protocol.messages import Fate
 from asterism.server.background import background_of, seed_thresholds
 from asterism.server.compiled import compiled
-from asterism.server.components import connect, mark_hot_columns
+from asterism.server.components import connect
 from asterism.server.spots import FATE, HEIGHT, SEMI_A, SEMI_B, measure_spots
 
 SEED_SIGMAS = 5.0  # a pixel this far above its background may belong to a spot
@@ -30,7 +30,6 @@ def segment(
     sigmas, least = SEED_SIGMAS, SEED_LEAST
     while True:
         seed_thresholds(level, noise, sigmas, least, height, width, thresholds)
-        mark_hot_columns(image, thresholds, hot)
         count = connect(image, thresholds, hot, runs, parent, components)
         if count >= 0:
             break

@@ -9,7 +9,7 @@ from asterism.protocol.messages import Fate
 from asterism.server.background import BLOCK_ROWS, background_of, interpolate, seed_thresholds
 from asterism.server.blobs import Blobs, Scratch, find_blobs
 from asterism.server.centre import refine_leaning
-from asterism.server.components import AREA, PEAK, SATURATED, X0, X1, Y0, Y1, connect, hot_width, mark_hot_columns
+from asterism.server.components import AREA, PEAK, SATURATED, X0, X1, Y0, Y1, connect, hot_width
 from tests.rendering import Canvas
 
 NO_MASKS = np.empty((0, 4), np.int64)
@@ -67,9 +67,8 @@ def test_components_equal_scipys_labelling(rng: np.random.Generator) -> None:
         )
         blocks = -(-97 // BLOCK_ROWS)
         thresholds = rng.integers(80, 100, (blocks, width)).astype(np.uint8)
-        hot, runs = np.zeros((blocks, hot_width(width)), np.uint8), np.empty((5000, 3), np.int32)
+        hot, runs = np.zeros(hot_width(width), np.uint8), np.empty((5000, 3), np.int32)
         table = np.empty((1000, 7), np.int32)
-        mark_hot_columns(image, thresholds, hot)
         count = connect(image, thresholds, hot, runs, np.empty(5000, np.int32), table)
         above = image > np.repeat(thresholds, BLOCK_ROWS, axis=0)[:97]
         labels, expected = ndimage.label(above, structure=np.ones((3, 3)))

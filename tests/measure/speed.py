@@ -26,7 +26,7 @@ from asterism.protocol.geometry import Pose, angle_between
 from asterism.protocol.rig import Rig
 from asterism.server import Frame, PoseEstimate, Tracks, blobs, localize, pipeline
 from asterism.server.background import background_of, seed_thresholds
-from asterism.server.components import connect, mark_hot_columns
+from asterism.server.components import connect
 from asterism.server.plan import plan_for
 from asterism.server.segment import SEED_LEAST, SEED_SIGMAS
 from asterism.server.simulate import Scene
@@ -153,7 +153,6 @@ def parts_of_segment(rig: Rig, images: list[NDArray[np.uint8]]) -> dict[str, lis
         level, noise = timed(background_of, image)
         seeds = (SEED_SIGMAS, SEED_LEAST)
         timed(seed_thresholds, level, noise, *seeds, *image.shape, scratch.thresholds)
-        timed(mark_hot_columns, image, scratch.thresholds, scratch.hot)
         tables = (scratch.runs, scratch.parent, scratch.components)
         count = timed(connect, image, scratch.thresholds, scratch.hot, *tables)
         limits = (*seeds, plan.largest_radius_px, plan.masks)
