@@ -17,6 +17,7 @@ from asterism.server.spots import (
     MISFIT,
     NOISE,
     SEMI_A,
+    SEMI_B,
     SHOULDER,
     TOO_FAINT,
     TOUCHING,
@@ -35,6 +36,7 @@ ESTIMATOR_NUMBERS = {"edge-model": 0, "grey-square": 1, "clip": 2, "zernike": 3}
 GAIN = 0.035  # expected variance per grey level of light: a sensor of 7000 electrons at grey level 255
 GAIN_SIGMA = 0.02  # how well that is known before a frame's own residuals have told
 CLEAN_MISFIT = 1.5  # chi squared per degree of freedom up to which a spot tells of the sensor's noise
+LEAST_TELLING_PX, ROUND = 1.8, 0.7  # small and flat spots do not: the model's own error looks like noise there
 STRANGE_MISFIT = 1.6  # beyond this the model does not hold, and the centre may be off
 GOOD_MISFIT, EVEN = 1.3, 2.5  # a fit with no more misfit and no more light to one side has nothing beside it
 MISFIT_SHIFT_PX = 0.05  # by about this much where it is twice as large as noise makes it
@@ -126,7 +128,8 @@ def refine_centres(image, spots, estimator, centres, covariances):
             spot[SHOULDER] = max(spot[SHOULDER], shift)
         elif estimator == 0 and out[6] < GOOD_MISFIT and out[5] < EVEN and spot[TOUCHING] == 0.0:
             spot[SHOULDER] = 0.0  # the moments were misled, by saturation or by noise
-        if out[6] < CLEAN_MISFIT and spot[SHOULDER] == 0.0:
+        round_enough = spot[SEMI_B] >= max(LEAST_TELLING_PX, ROUND * spot[SEMI_A])
+        if out[6] < CLEAN_MISFIT and spot[SHOULDER] == 0.0 and (estimator != 0 or round_enough):
             told += out[7]
             weight += out[8]
         spot[MISFIT] = out[6]

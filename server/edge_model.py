@@ -137,8 +137,8 @@ def add_up_shape(pixels, n, p, spot, cos, sin, floor, gain, strange, sums):
     """Information and score of the even block, and of the centre alone, over the first ``n`` of ``pixels``.
 
     ``p`` (PARAMETERS,) are the model's, ``cos`` and ``sin`` those of its angle; ``floor`` and ``gain`` make the pixels'
-    variances; ``strange``: leave out pixels with more light than the model can be wrong by. Fills M_, Q_, N_XX, N_XY, N_YY, R_X and R_Y of ``sums``
-    (SUMS,).
+    variances; ``strange``: leave out pixels with more light than the model can be wrong by. Fills M_, Q_, N_XX, N_XY,
+    N_YY, R_X and R_Y of ``sums`` (SUMS,).
     """
     xs, ys, values, counts = pixels[PX], pixels[PY], pixels[GREY], pixels[COUNTS]
     cx, cy, slope_x, slope_y = f32(p[CX]), f32(p[CY]), f32(p[SX]), f32(p[SY])

@@ -8,12 +8,12 @@ from asterism.server.compiled import compiled
 
 
 @compiled
-def nearest_neighbours(flat, usable, ranks, heights, radii, least_height, least_radius, reach, lists, counts):
+def nearest_neighbours(flat, usable, ranks, heights, radii, least_height, least_radius, reaches, lists, counts):
     """For every usable point its nearest usable ones that rank after it and are like it, in order of distance.
 
-    ``flat`` (n, 2) px; ``ranks`` (n,), different numbers; a neighbour is at most ``reach`` px away, its height at
-    least ``least_height`` of the point's, of the two radii the smaller at least ``least_radius`` of the larger. Fills
-    ``lists`` (n, most) and ``counts`` (n,).
+    ``flat`` (n, 2) px; ``ranks`` (n,), different numbers; a neighbour is at most ``reaches`` (n,) px away, its height
+    at least ``least_height`` of the point's, of the two radii the smaller at least ``least_radius`` of the larger.
+    Fills ``lists`` (n, most) and ``counts`` (n,).
     """
     n, most = lists.shape
     order = np.argsort(flat[:, 0])
@@ -35,7 +35,7 @@ def nearest_neighbours(flat, usable, ranks, heights, radii, least_height, least_
             else:
                 j, gap = order[right], gap_right
                 right += 1
-            limit = distances[count - 1] if count == most else reach
+            limit = distances[count - 1] if count == most else reaches[i]
             if gap > limit:
                 break
             if not usable[j] or ranks[j] < ranks[i] or heights[j] < least_height * heights[i]:

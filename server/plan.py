@@ -16,6 +16,7 @@ from asterism.server.spot_shift import optics_of
 
 MOST_TILT = math.cos(math.radians(75.0))  # beyond that a plate shows no LED worth measuring
 LARGEST_SPOT = 0.02  # of the image's diagonal, where the rig does not say how large the LEDs are
+RADII_MARGIN = 1.8  # a constellation's extent over an LED's radius may look so much larger: tilt, dim rims
 LED_MARGIN = 1.6  # an LED's spot may be this much larger than its disc, and two pixels
 
 
@@ -51,6 +52,8 @@ class Plan:
         self.masks: Ints = np.array(rig.masks, np.int64).reshape(-1, 4)
         # nan where the rig does not say how large the LEDs are
         self.led_radii = np.array([robot.led_radius or math.nan for robot in rig.robots])
+        ratios = self.extents / self.led_radii
+        self.reach_in_radii = RADII_MARGIN * float(ratios.max()) if np.isfinite(ratios).all() else math.inf
         largest = float(self.led_radii.max())
         if math.isfinite(largest) and rig.range_m is not None:
             self.largest_radius_px = LED_MARGIN * largest * self.focal / self.near + 2.0

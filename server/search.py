@@ -32,6 +32,7 @@ HEIGHT_RATIO, RADIUS_RATIO = 0.2, 0.4
 DEPTHS = (8, 14, 24)
 MOST_QUADS = 12  # for every spot, of less alike ones; beyond that only the nearer combinations were tried
 REACH_PX = 3.0  # how far an LED may lie from where the homography of four puts it
+FREE_QUADS = 5000  # however few spots there are
 SPOT_ERROR_PX = 0.2  # what a spot may be off while its quad is looked up
 MIRROR_RATIO = 0.6  # a second explanation of a robot is a mirror image if it is dimmer than this
 EVEN_HEIGHT = 1.7  # of the median height of a robot's spots: a brighter one among them may be another's
@@ -75,9 +76,10 @@ class Sought(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """``focal`` px; ``near`` and ``far`` m; ``most_tilt``: the cosine of the largest tilt; ``reach`` px between LEDs of
-    one robot; ``fewest`` LEDs that make a hypothesis; ``alone``: four spots are to make one, all that they may be, but
-    only where they stand apart from all others like them.
+    """``focal`` px; ``near`` and ``far`` m; ``most_tilt``: the cosine of the largest tilt; ``reach``: how far LEDs of
+    one robot are apart at most, px, and ``reach_in_radii``, in radii of their spots; ``fewest`` LEDs that make a
+    hypothesis; ``alone``: four spots are to make one, all that they may be, but only where they stand apart from all
+    like them.
     """
 
     focal: float
@@ -85,6 +87,7 @@ class Limits(NamedTuple):
     far: float
     most_tilt: float
     reach: float
+    reach_in_radii: float
     fewest: int
     alone: bool
 
@@ -331,13 +334,13 @@ def _judge(robot, spots, sought, limits, claims, pending, work, systematic2):
 
 @compiled
 def _combine(
-    spots, sought, limits, claims, pending, work, lists, counts, by_height, previous, depth, most, systematic2
+    spots, sought, limits, claims, pending, work, reaches, lists, counts, by_height, previous, depth, most, systematic2
 ):
     """Try every spot with three of its first ``depth`` neighbours, at least one beyond the first ``previous``.
 
     Stops after ``most`` quads; returns how many were tried.
     """
-    flat, free, heights, radii, reach = spots.flat, spots.free, spots.heights, spots.radii, limits.reach
+    flat, free, heights, radii = spots.flat, spots.free, spots.heights, spots.radii
     four, order, values, matches, members = work.four, work.order, work.values, work.matches, work.members
     spots4, leds4, labels, h, left, right = work.spots4, work.leds4, work.labels, work.h, work.left, work.right
     by_x, xs, layouts = work.by_x, work.xs, sought.layouts
@@ -349,7 +352,7 @@ def _combine(
         slack_px, reach_others = 3.0 * SPOT_ERROR_PX, 0.0  # the other two are hidden
     quads = 0
     for i in by_height:
-        size = min(counts[i], depth)
+        size, reach = min(counts[i], depth), reaches[i]
         for a in range(size):
             j = lists[i, a]
             if not free[i]:
@@ -406,33 +409,35 @@ def search(spots, sought, limits, claims, pending):
     by_height = np.argsort(-spots.heights)
     ranks = np.empty(n, np.int64)
     ranks[by_height] = np.arange(n)
+    # An LED's spot tells how near it is, and so how far the others may be.
+    reaches = np.minimum(limits.reach, limits.reach_in_radii * spots.radii)
     work = _work(spots.flat)
     systematic2 = (SYSTEMATIC_PX / limits.focal) ** 2
     lists, counts = np.empty((n, ALIKE_DEPTHS[-1]), np.int32), np.zeros(n, np.int32)
     nearest_neighbours(
-        spots.flat, spots.free, ranks, spots.heights, spots.radii, ALIKE_HEIGHT, ALIKE_RADIUS, limits.reach,
+        spots.flat, spots.free, ranks, spots.heights, spots.radii, ALIKE_HEIGHT, ALIKE_RADIUS, reaches,
         lists, counts,
     )  # fmt: skip
     quads, previous = 0, 0
     for depth in ALIKE_DEPTHS:
         quads += _combine(
-            spots, sought, limits, claims, pending, work, lists, counts, by_height, previous, depth, n * n * n,
+            spots, sought, limits, claims, pending, work, reaches, lists, counts, by_height, previous, depth, n * n * n,
             systematic2,
         )  # fmt: skip
         previous = depth
-    budget = quads + MOST_QUADS * n
+    budget = quads + max(MOST_QUADS * n, FREE_QUADS)
     if sought.claimed.all():
         return quads  # rivals of robots that are found stand together, and were met already
     lists = np.empty((n, DEPTHS[-1]), np.int32)
     nearest_neighbours(
-        spots.flat, spots.free, ranks, spots.heights, spots.radii, HEIGHT_RATIO, RADIUS_RATIO, limits.reach,
+        spots.flat, spots.free, ranks, spots.heights, spots.radii, HEIGHT_RATIO, RADIUS_RATIO, reaches,
         lists, counts,
     )  # fmt: skip
     previous = 0
     for depth in DEPTHS:
         if quads < budget and not sought.claimed.all():
             quads += _combine(
-                spots, sought, limits, claims, pending, work, lists, counts, by_height, previous, depth,
+                spots, sought, limits, claims, pending, work, reaches, lists, counts, by_height, previous, depth,
                 budget - quads, systematic2,
             )  # fmt: skip
         previous = depth
@@ -447,7 +452,7 @@ def searched(
     sought = Sought(
         plan.layouts, plan.separations, claimed, brightness, quads.entries, quads.numbers, quads.starts, quads.held
     )
-    limits = Limits(plan.focal, plan.near, plan.far, MOST_TILT, plan.reach_px, fewest, alone)
+    limits = Limits(plan.focal, plan.near, plan.far, MOST_TILT, plan.reach_px, plan.reach_in_radii, fewest, alone)
     claims, pending = Fits.room(MOST_CLAIMS), Fits.room(MOST_PENDING)
     search(spots, sought, limits, claims, pending)
     return claims.held(), pending.held()

@@ -177,13 +177,13 @@ def test_nearest_neighbours_equal_sorting_all_distances(rng: np.random.Generator
     points = rng.uniform(0, 500, (80, 2))
     usable = rng.random(80) < 0.8
     ranks, heights, radii = rng.permutation(80), rng.uniform(20, 200, 80), rng.uniform(1, 4, 80)
-    lists, counts = np.empty((80, 6), np.int32), np.zeros(80, np.int32)
-    nearest_neighbours(points, usable, ranks, heights, radii, 0.5, 0.6, 120.0, lists, counts)
+    lists, counts, reaches = np.empty((80, 6), np.int32), np.zeros(80, np.int32), rng.uniform(90, 150, 80)
+    nearest_neighbours(points, usable, ranks, heights, radii, 0.5, 0.6, reaches, lists, counts)
     for i in np.flatnonzero(usable):
         away = np.hypot(*(points - points[i]).T)
         unlike = (heights < 0.5 * heights[i]) | (np.minimum(radii, radii[i]) < 0.6 * np.maximum(radii, radii[i]))
         away[i], away[~usable | unlike | (ranks < ranks[i])] = np.inf, np.inf
-        expected = [j for j in np.argsort(away)[:6] if away[j] <= 120.0]
+        expected = [j for j in np.argsort(away)[:6] if away[j] <= reaches[i]]
         assert lists[i, : counts[i]].tolist() == expected
     assert counts.max() == 6
 
