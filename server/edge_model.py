@@ -9,8 +9,8 @@ pixel weighted with its own variance (read noise plus shot noise).
 
 An ellipse looks the same from both sides of its centre: what shifts it (centre, slopes) is odd, what does not (level,
 rise, axes, blur) is even, and sums over odd times even terms vanish. So the parameters fall into two blocks, and the
-centre's covariance needs the odd one only: it owns up to the slopes, and the rest costs it nothing. First the even
-block is refined, on the pixels near the edge, and the centre with it; the last step, on all pixels, is the odd block's.
+centre's covariance needs the odd one only: it owns up to the slopes, and the rest costs it nothing. First both
+are refined on the pixels near the edge; the last step, on all pixels, is the odd block's.
 
 Sums over pixels are the bulk of the time: they are taken in single precision, whose rounding moves a centre by less
 than 1e-5 px, over pixels padded to whole registers.
@@ -42,7 +42,11 @@ from asterism.server.spots import (
 BLUR_PX = 0.85  # expected blur; the fit finds the spot's own
 BLUR_SIGMA = 0.15  # how far the fit may go from the expected blur and from the size that the moments say, softly
 SIZE_SIGMA = 0.1
-SHAPE_STEPS = 2
+# Where the fit starts, so that mostly one step of the shape suffices: by how much the moments find semi-axes too large,
+# the least share of them, and a blur between those of the simulator and of the tests' renderings, as the fit finds it.
+TOO_LARGE_PX, LEAST_SIZE, START_BLUR_PX = 0.28, 0.6, 0.9
+LONG_STEP = 0.06, 0.1, 0.1  # of log size, blur (px) and rise (share), after which another step is needed
+SHAPE_STEPS = 3  # at most
 SATURATED_SHAPE_STEPS = 6  # where the top is cut off, rise and size are found from the flanks alone
 MANY_SATURATED = 0.05  # share of the spot's pixels
 NEAR_PX = 3.0  # outside the edge, within which pixels tell of the spot's shape
@@ -134,11 +138,11 @@ def _weight(value, told, variance, counts, loose, limit):
 
 @compiled_sums
 def add_up_shape(pixels, n, p, spot, cos, sin, floor, gain, strange, sums):
-    """Information and score of the even block, and of the centre alone, over the first ``n`` of ``pixels``.
+    """Information and score of the even and of the odd block over the first ``n`` of ``pixels``.
 
     ``p`` (PARAMETERS,) are the model's, ``cos`` and ``sin`` those of its angle; ``floor`` and ``gain`` make the pixels'
-    variances; ``strange``: leave out pixels with more light than the model can be wrong by. Fills M_, Q_, N_XX, N_XY,
-    N_YY, R_X and R_Y of ``sums`` (SUMS,).
+    variances; ``strange``: leave out pixels with more light than the model can be wrong by. Fills M_, Q_, N_ and R_ of
+    ``sums`` (SUMS,).
     """
     xs, ys, values, counts = pixels[PX], pixels[PY], pixels[GREY], pixels[COUNTS]
     cx, cy, slope_x, slope_y = f32(p[CX]), f32(p[CY]), f32(p[SX]), f32(p[SY])
@@ -298,7 +302,7 @@ def _solve2(xx, xy, yy, rx, ry):
 
 @compiled
 def _improve_shape(sums, p, start_rise, m, q):
-    """One scoring step of the even block, and of the centre with the slopes as they are."""
+    """One scoring step of the even block; whether it was so long that there should be another."""
     m[0, 0], m[1, 0], m[2, 0], m[3, 0], m[4, 0] = sums[M_LL], sums[M_LR], sums[M_LA], sums[M_LB], sums[M_LW]
     m[1, 1], m[2, 1], m[3, 1], m[4, 1] = sums[M_RR], sums[M_RA], sums[M_RB], sums[M_RW]
     m[2, 2], m[3, 2], m[4, 2] = sums[M_AA], sums[M_AB], sums[M_AW]
@@ -320,6 +324,8 @@ def _improve_shape(sums, p, start_rise, m, q):
         p[SIZE_A] *= math.exp(min(max(q[2], -0.2), 0.2))
         p[SIZE_B] *= math.exp(min(max(q[3], -0.2), 0.2))
         p[BLUR] = min(max(p[BLUR] + q[4], 0.45), 1.8)
+    size, blur, rise = LONG_STEP
+    return max(abs(q[2]), abs(q[3])) > size or abs(q[4]) > blur or abs(q[1]) > rise * start_rise
 
 
 @compiled
@@ -397,16 +403,23 @@ def fit_edge_model(image, spot, neighbours, gain, pixels, sums, p, m, q, out):
     p[SX], p[SY] = spot[SLOPE_X], spot[SLOPE_Y]
     p[BASE] = spot[LEVEL] + p[SX] * p[CX] + p[SY] * p[CY]
     p[RISE], p[SIZE_A], p[SIZE_B], p[BLUR] = spot[HEIGHT], 1.0, 1.0, BLUR_PX
-    steps = SATURATED_SHAPE_STEPS if spot[SATURATED_SHARE] > MANY_SATURATED else SHAPE_STEPS
+    a, b = spot[SEMI_A], spot[SEMI_B]
+    saturated = spot[SATURATED_SHARE] > MANY_SATURATED
+    steps = SATURATED_SHAPE_STEPS if saturated else SHAPE_STEPS
+    if not saturated:
+        p[SIZE_A], p[SIZE_B] = max(1.0 - TOO_LARGE_PX / a, LEAST_SIZE), max(1.0 - TOO_LARGE_PX / b, LEAST_SIZE)
+        p[BLUR] = START_BLUR_PX
+        # A Gaussian blur leaves a disc no more of its height in its middle.
+        p[RISE] /= 1.0 - math.exp(-0.5 * a * b * p[SIZE_A] * p[SIZE_B] / (START_BLUR_PX * START_BLUR_PX))
     for trial in range(steps):
         add_up_shape(pixels, near, p, spot, cos, sin, floor, gain, trial > 0, sums)
         _improve_centre(sums, p)
-        _improve_shape(sums, p, spot[HEIGHT], m, q)
+        if not _improve_shape(sums, p, spot[HEIGHT], m, q) and not saturated:
+            break
     # Away from the edge there is little to learn, but of other light: only the last step looks at it.
     add_up_centre(pixels, n, p, spot, cos, sin, floor, gain, sums)
     xx, xy, yy, told = _improve_centre(sums, p)
     det = xx * yy - xy * xy
-    a = spot[SEMI_A]
     if not told or not det > 0.0 or math.hypot(p[CX] + middle_x - spot[X], p[CY] + middle_y - spot[Y]) > 1.0 + a:
         # No pixel tells where the edge is: the coarse centre, and what that may be worth.
         out[:] = 0.0
@@ -414,7 +427,7 @@ def fit_edge_model(image, spot, neighbours, gain, pixels, sums, p, m, q, out):
         return
     out[0], out[1] = p[CX] + middle_x, p[CY] + middle_y
     out[2], out[3], out[4] = yy / det, -xy / det, xx / det
-    usual = sums[SIDE_VARIANCE] + (EVENNESS * p[RISE] * math.pi * a * spot[SEMI_B]) ** 2
+    usual = sums[SIDE_VARIANCE] + (EVENNESS * p[RISE] * math.pi * a * b) ** 2
     out[5] = math.sqrt((sums[SIDE_X] ** 2 + sums[SIDE_Y] ** 2) / max(usual, 1e-9))
     out[6] = sums[CHI2] / max(sums[COUNT] - PARAMETERS, 1.0)
     # Squared residuals grow with the light by the gain. The fit has taken some of them: as many as lit pixels
