@@ -80,7 +80,7 @@ CEILING, NEAR_CEILING = f32(SATURATED), f32(SATURATED - 3.0)
 
 
 @compiled_sums
-def _distance_to_ellipse(dx, dy, cos, sin, per_a2, per_b2):
+def distance_to_ellipse(dx, dy, cos, sin, per_a2, per_b2):
     """Distance of a pixel to the ellipse, px, positive inside, and what its derivatives are made of.
 
     Returns u, v (the pixel along the axes), u / a^2, v / b^2, distance, and the factors ``outward`` and ``bend`` of
@@ -99,11 +99,22 @@ def _distance_to_ellipse(dx, dy, cos, sin, per_a2, per_b2):
 
 
 @compiled_sums
-def _normal(t):
+def gauss(square):
+    """exp(-square / 2) at square <= REACH^2: the sixteenth power of a polynomial, 1e-4 of itself at the far end."""
+    s = square * f32(0.5 / 16.0)
+    e = ONE - s * (ONE - s * (HALF - s * (f32(1.0 / 6.0) - s * (f32(1.0 / 24.0) - s * f32(1.0 / 120.0)))))
+    e = e * e
+    e = e * e
+    e = e * e
+    return e * e
+
+
+@compiled_sums
+def normal(t):
     """The normal distribution function and its density at |t| <= REACH.
 
-    The former is a polynomial (least squares on Chebyshev nodes, 4e-6), the exponential of the latter the sixteenth
-    power of one (1e-4 of itself at the far end): what wide registers are good at.
+    Both are made of polynomials (that of the former by least squares on Chebyshev nodes, 4e-6): what wide registers are
+    good at.
     """
     r = t * t * f32(1.0 / (REACH * REACH))
     f = f32(5.52169579) - f32(0.946988853) * r
@@ -115,12 +126,7 @@ def _normal(t):
     f = f * r + f32(4.05310171)
     f = f * r - f32(1.3448406)
     f = f * r + f32(0.398921712)
-    s = t * t * f32(0.5 / 16.0)
-    e = ONE - s * (ONE - s * (HALF - s * (f32(1.0 / 6.0) - s * (f32(1.0 / 24.0) - s * f32(1.0 / 120.0)))))
-    e = e * e
-    e = e * e
-    e = e * e
-    e = f32(0.3989422804014327) * e * e
+    e = f32(0.3989422804014327) * gauss(t * t)
     return HALF + t * f, e if abs(t) < REACH32 else ZERO
 
 
@@ -157,9 +163,9 @@ def add_up_shape(pixels, n, p, spot, cos, sin, floor, gain, strange, sums):
     q_l = q_r = q_a = q_b = q_w = ZERO
     for i in range(n // LANES * LANES):
         dx, dy = xs[i] - cx, ys[i] - cy
-        u, v, pu, pv, distance, outward, bend = _distance_to_ellipse(dx, dy, cos, sin, per_a2, per_b2)
+        u, v, pu, pv, distance, outward, bend = distance_to_ellipse(dx, dy, cos, sin, per_a2, per_b2)
         t = min(max(distance * per_blur, -REACH32), REACH32)
-        step, bell = _normal(t)
+        step, bell = normal(t)
         lit = rise * step
         told = level + slope_x * dx + slope_y * dy + lit
         w = _weight(values[i], told, floor + gain * lit, counts[i], loose, limit)
@@ -236,9 +242,9 @@ def add_up_centre(pixels, n, p, spot, cos, sin, floor, gain, sums):
     m_ll = q_l = chi2 = count = side_x = side_y = side_variance = lit_1 = lit_2 = lit_read = lit_found = ZERO
     for i in range(n // LANES * LANES):
         dx, dy = xs[i] - cx, ys[i] - cy
-        _, _, pu, pv, distance, outward, bend = _distance_to_ellipse(dx, dy, cos, sin, per_a2, per_b2)
+        _, _, pu, pv, distance, outward, bend = distance_to_ellipse(dx, dy, cos, sin, per_a2, per_b2)
         t = min(max(distance * per_blur, -REACH32), REACH32)
-        step, bell = _normal(t)
+        step, bell = normal(t)
         lit = rise * step
         told = level + slope_x * dx + slope_y * dy + lit
         variance = floor + gain * lit
@@ -357,6 +363,20 @@ def _improve_centre(sums, p):
 
 
 @compiled
+def leave_out(pixels, count, neighbours, middle_x, middle_y):
+    """Let the first ``count`` pixels on or near ``neighbours`` (k, 3) x, y, radius px not count.
+
+    Pixels are told from (``middle_x``, ``middle_y``) px.
+    """
+    for k in range(neighbours.shape[0]):
+        x, y = f32(neighbours[k, 0] - middle_x), f32(neighbours[k, 1] - middle_y)
+        reach2 = f32((neighbours[k, 2] + NEIGHBOUR_MARGIN_PX) ** 2)
+        for i in range(count):
+            if (pixels[PX, i] - x) ** 2 + (pixels[PY, i] - y) ** 2 < reach2:
+                pixels[COUNTS, i] = ZERO
+
+
+@compiled
 def gather_pixels(image, spot, neighbours, pixels):
     """The pixels of the spot's window, those near its edge first: where these end, and where all do.
 
@@ -375,12 +395,7 @@ def gather_pixels(image, spot, neighbours, pixels):
     gathered = gather_box(image, x0, left, top, bottom, middle_x, middle_y, pixels, gathered)
     gathered = gather_box(image, right, x1, top, bottom, middle_x, middle_y, pixels, gathered)
     count = pad(pixels, near, gathered)
-    for k in range(neighbours.shape[0]):
-        x, y = f32(neighbours[k, 0] - middle_x), f32(neighbours[k, 1] - middle_y)
-        reach2 = f32((neighbours[k, 2] + NEIGHBOUR_MARGIN_PX) ** 2)
-        for i in range(count):
-            if (pixels[PX, i] - x) ** 2 + (pixels[PY, i] - y) ** 2 < reach2:
-                pixels[COUNTS, i] = ZERO
+    leave_out(pixels, count, neighbours, middle_x, middle_y)
     return near, count
 
 

@@ -9,7 +9,9 @@ import math
 
 import numpy as np
 
-from asterism.server.compiled import compiled
+from asterism.server.compiled import compiled, compiled_sums
+from asterism.server.edge_model import REACH, SATURATED, distance_to_ellipse, gauss, leave_out, normal
+from asterism.server.pixels import LANES, gather_box, pad, room_for
 from asterism.server.planar import cholesky_solve
 from asterism.server.spots import (
     ANGLE,
@@ -32,7 +34,6 @@ from asterism.server.spots import (
 PX, PY, RISE, A, B, QX, QY, LIGHT, WIDTH = range(9)
 PARAMETERS = 9
 ITERATIONS = 12
-SATURATED = 255
 NEIGHBOUR_MARGIN_PX = 1.0
 # Beyond these the model does not hold: misfit, of the spot's height, RMS; chi squared per degree of freedom.
 WORST_MISFIT, WORST_SCALE = 0.08, 4.0
@@ -40,72 +41,163 @@ PATIENCE, HOPELESS = 4, 4.0  # iterations after which a fit that is so many time
 LEAST_LIGHT = 5.0  # sigmas: a second light dimmer than that may not be there
 
 
-@compiled
-def _evaluate(image, spot, neighbours, blur, gain, p, x0, x1, y0, y1, want, n, r):
-    """Weighted squared residuals of the model; fills the lower triangle n (9, 9) and r (9,) if ``want``.
+@compiled_sums
+def _add_up(pixels, count, spot, blur, gain, p, n, r):
+    """Fill the lower triangle of the normal matrix ``n`` (9, 9) and ``r`` (9,) of the model with parameters ``p`` (9,).
 
-    Returns chi squared, the plain squared residuals, and the number of pixels.
+    ``pixels`` are ``count`` from `_gather`. Returns chi squared, the squared residuals without weights, and the number
+    of pixels that count.
     """
+    xs, ys, values, counts = pixels[0], pixels[1], pixels[2], pixels[3]
+    level, slope_x, slope_y = spot[LEVEL], spot[SLOPE_X], spot[SLOPE_Y]
     middle_x, middle_y = 0.5 * (spot[WX0] + spot[WX1] - 1.0), 0.5 * (spot[WY0] + spot[WY1] - 1.0)
+    px, py, rise, qx, qy, light = (
+        p[PX] - middle_x,
+        p[PY] - middle_y,
+        p[RISE],
+        p[QX] - middle_x,
+        p[QY] - middle_y,
+        p[LIGHT],
+    )
     cos, sin = math.cos(spot[ANGLE]), math.sin(spot[ANGLE])
-    per_a2, per_b2 = 1.0 / (p[A] * p[A]), 1.0 / (p[B] * p[B])
-    floor = spot[NOISE] ** 2 + 0.02
-    chi2 = plain = 0.0
-    pixels = 0
-    g = np.empty(PARAMETERS)
-    if want:
-        n[:, :] = 0.0
-        r[:] = 0.0
-    for y in range(y0, y1):
-        for x in range(x0, x1):
-            taken = False
-            for k in range(neighbours.shape[0]):
-                away2 = (x - neighbours[k, 0]) ** 2 + (y - neighbours[k, 1]) ** 2
-                taken |= away2 < (neighbours[k, 2] + NEIGHBOUR_MARGIN_PX) ** 2
-            if taken:
-                continue
-            dx, dy = x - p[PX], y - p[PY]
-            u, v = cos * dx + sin * dy, cos * dy - sin * dx
-            s, t = u * per_a2, v * per_b2
-            slope = math.sqrt(s * s + t * t) + 1e-9
-            reach2 = u * s + v * t
-            reach = math.sqrt(reach2 + 1e-12)
-            away = (reach - reach2) / slope  # px from the edge, as in the edge model
-            distance = min(max(away / blur, -6.0), 6.0)
-            step = 0.5 * (1.0 + math.erf(distance * 0.7071067811865476))
-            bell = math.exp(-0.5 * distance * distance) * 0.3989422804014327
-            ex, ey = x - p[QX], y - p[QY]
-            per_w2 = 1.0 / (p[WIDTH] * p[WIDTH])
-            away2 = (ex * ex + ey * ey) * per_w2
-            glow = math.exp(-0.5 * away2)
-            lit = p[RISE] * step + p[LIGHT] * glow
-            told = spot[LEVEL] + spot[SLOPE_X] * (x - middle_x) + spot[SLOPE_Y] * (y - middle_y) + lit
-            value = float(image[y, x])
-            if value >= SATURATED and told >= SATURATED:
-                continue
-            weight = 1.0 / (floor + gain * max(lit, 0.0))
-            residual = value - told
-            chi2 += weight * residual * residual
-            plain += residual * residual
-            pixels += 1
-            if not want:
-                continue
-            outward, bend = (1.0 / reach - 2.0) / slope, away / (slope * slope)
-            du, dv = s * (outward - bend * per_a2), t * (outward - bend * per_b2)
-            steep = p[RISE] * bell / blur
-            g[PX], g[PY] = -steep * (du * cos - dv * sin), -steep * (du * sin + dv * cos)
-            g[RISE] = step
-            g[A] = steep * (2.0 * bend * s * s - outward * u * s) / p[A]
-            g[B] = steep * (2.0 * bend * t * t - outward * v * t) / p[B]
-            g[QX], g[QY] = p[LIGHT] * glow * ex * per_w2, p[LIGHT] * glow * ey * per_w2
-            g[LIGHT] = glow
-            g[WIDTH] = p[LIGHT] * glow * away2 / p[WIDTH]
-            for j in range(PARAMETERS):
-                wg = weight * g[j]
-                r[j] += wg * residual
-                for k in range(j + 1):
-                    n[j, k] += wg * g[k]
-    return chi2, plain, pixels
+    per_a, per_b, per_blur, per_w = 1.0 / p[A], 1.0 / p[B], 1.0 / blur, 1.0 / p[WIDTH]
+    per_a2, per_b2, per_w2 = per_a * per_a, per_b * per_b, per_w * per_w
+    floor = spot[NOISE] * spot[NOISE] + 0.02
+    n_xx = n_yx = n_yy = n_rx = n_ry = n_rr = n_ax = n_ay = n_ar = n_aa = n_bx = n_by = n_br = n_ba = n_bb = 0.0
+    n_ux = n_uy = n_ur = n_ua = n_ub = n_uu = n_vx = n_vy = n_vr = n_va = n_vb = n_vu = n_vv = n_lx = n_ly = 0.0
+    n_lr = n_la = n_lb = n_lu = n_lv = n_ll = n_wx = n_wy = n_wr = n_wa = n_wb = n_wu = n_wv = n_wl = n_ww = 0.0
+    r_x = r_y = r_r = r_a = r_b = r_u = r_v = r_l = r_w = 0.0
+    chi2 = plain = number = 0.0
+    for i in range(count // LANES * LANES):
+        x, y = float(xs[i]), float(ys[i])
+        dx, dy = x - px, y - py
+        u, v, s, t, distance, outward, bend = distance_to_ellipse(dx, dy, cos, sin, per_a2, per_b2)
+        off = min(max(distance * per_blur, -REACH), REACH)
+        step, bell = normal(off)
+        ex, ey = x - qx, y - qy
+        away2 = (ex * ex + ey * ey) * per_w2
+        glow = gauss(min(away2, REACH * REACH))
+        lit = rise * step + light * glow
+        told = level + slope_x * x + slope_y * y + lit
+        value = float(values[i])
+        residual = value - told
+        counted = 0.0 if value >= SATURATED and told >= SATURATED else float(counts[i])
+        w = counted / (floor + gain * max(lit, 0.0))
+        chi2 += w * residual * residual
+        plain += counted * residual * residual
+        number += counted
+        du, dv = s * (outward - bend * per_a2), t * (outward - bend * per_b2)
+        steep = rise * bell * per_blur
+        g_x, g_y = steep * (dv * sin - du * cos), -steep * (du * sin + dv * cos)
+        g_r = step
+        g_a = steep * s * (2.0 * bend * s - outward * u) * per_a
+        g_b = steep * t * (2.0 * bend * t - outward * v) * per_b
+        shine = light * glow
+        g_u, g_v = shine * ex * per_w2, shine * ey * per_w2
+        g_l, g_w = glow, shine * away2 * per_w
+        weighted = w * g_x
+        r_x += weighted * residual
+        n_xx += weighted * g_x
+        weighted = w * g_y
+        r_y += weighted * residual
+        n_yx += weighted * g_x
+        n_yy += weighted * g_y
+        weighted = w * g_r
+        r_r += weighted * residual
+        n_rx += weighted * g_x
+        n_ry += weighted * g_y
+        n_rr += weighted * g_r
+        weighted = w * g_a
+        r_a += weighted * residual
+        n_ax += weighted * g_x
+        n_ay += weighted * g_y
+        n_ar += weighted * g_r
+        n_aa += weighted * g_a
+        weighted = w * g_b
+        r_b += weighted * residual
+        n_bx += weighted * g_x
+        n_by += weighted * g_y
+        n_br += weighted * g_r
+        n_ba += weighted * g_a
+        n_bb += weighted * g_b
+        weighted = w * g_u
+        r_u += weighted * residual
+        n_ux += weighted * g_x
+        n_uy += weighted * g_y
+        n_ur += weighted * g_r
+        n_ua += weighted * g_a
+        n_ub += weighted * g_b
+        n_uu += weighted * g_u
+        weighted = w * g_v
+        r_v += weighted * residual
+        n_vx += weighted * g_x
+        n_vy += weighted * g_y
+        n_vr += weighted * g_r
+        n_va += weighted * g_a
+        n_vb += weighted * g_b
+        n_vu += weighted * g_u
+        n_vv += weighted * g_v
+        weighted = w * g_l
+        r_l += weighted * residual
+        n_lx += weighted * g_x
+        n_ly += weighted * g_y
+        n_lr += weighted * g_r
+        n_la += weighted * g_a
+        n_lb += weighted * g_b
+        n_lu += weighted * g_u
+        n_lv += weighted * g_v
+        n_ll += weighted * g_l
+        weighted = w * g_w
+        r_w += weighted * residual
+        n_wx += weighted * g_x
+        n_wy += weighted * g_y
+        n_wr += weighted * g_r
+        n_wa += weighted * g_a
+        n_wb += weighted * g_b
+        n_wu += weighted * g_u
+        n_wv += weighted * g_v
+        n_wl += weighted * g_l
+        n_ww += weighted * g_w
+    n[0, 0] = n_xx
+    n[1, 0], n[1, 1] = n_yx, n_yy
+    n[2, 0], n[2, 1], n[2, 2] = n_rx, n_ry, n_rr
+    n[3, 0], n[3, 1], n[3, 2], n[3, 3] = n_ax, n_ay, n_ar, n_aa
+    n[4, 0], n[4, 1], n[4, 2], n[4, 3], n[4, 4] = n_bx, n_by, n_br, n_ba, n_bb
+    n[5, 0], n[5, 1], n[5, 2], n[5, 3], n[5, 4], n[5, 5] = n_ux, n_uy, n_ur, n_ua, n_ub, n_uu
+    n[6, 0], n[6, 1], n[6, 2], n[6, 3], n[6, 4], n[6, 5], n[6, 6] = n_vx, n_vy, n_vr, n_va, n_vb, n_vu, n_vv
+    n[7, 0], n[7, 1], n[7, 2], n[7, 3], n[7, 4], n[7, 5], n[7, 6], n[7, 7] = (
+        n_lx,
+        n_ly,
+        n_lr,
+        n_la,
+        n_lb,
+        n_lu,
+        n_lv,
+        n_ll,
+    )
+    n[8, 0], n[8, 1], n[8, 2], n[8, 3], n[8, 4], n[8, 5], n[8, 6], n[8, 7], n[8, 8] = (
+        n_wx,
+        n_wy,
+        n_wr,
+        n_wa,
+        n_wb,
+        n_wu,
+        n_wv,
+        n_wl,
+        n_ww,
+    )
+    r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8] = r_x, r_y, r_r, r_a, r_b, r_u, r_v, r_l, r_w
+    return chi2, plain, number
+
+
+@compiled
+def _gather(image, spot, neighbours, x0, x1, y0, y1):
+    """The pixels of a window (exclusive ends), told from the middle of the spot's own; neighbours' do not count."""
+    middle_x, middle_y = 0.5 * (spot[WX0] + spot[WX1] - 1.0), 0.5 * (spot[WY0] + spot[WY1] - 1.0)
+    pixels = room_for((x1 - x0) * (y1 - y0))
+    count = pad(pixels, 0, gather_box(image, x0, x1, y0, y1, middle_x, middle_y, pixels, 0))
+    leave_out(pixels, count, neighbours, middle_x, middle_y)
+    return pixels, count
 
 
 @compiled
@@ -158,9 +250,11 @@ def fit_leaning(image, spot, other, neighbours, blur, gain, out):
         p[WIDTH] = 2.0
         if p[LIGHT] == 0.0:
             return False
+    pixels, count = _gather(image, spot, neighbours, x0, x1, y0, y1)
     n, r = np.empty((PARAMETERS, PARAMETERS)), np.empty(PARAMETERS)
+    trial_n, trial_r = np.empty((PARAMETERS, PARAMETERS)), np.empty(PARAMETERS)
     work, move, trial = np.empty((PARAMETERS, PARAMETERS)), np.empty(PARAMETERS), np.empty(PARAMETERS)
-    chi2, plain, pixels = _evaluate(image, spot, neighbours, blur, gain, p, x0, x1, y0, y1, True, n, r)
+    chi2, plain, number = _add_up(pixels, count, spot, blur, gain, p, n, r)
     damping = 1e-2
     for iteration in range(ITERATIONS):
         if iteration >= PATIENCE and chi2 > HOPELESS * WORST_SCALE * (pixels - PARAMETERS):
@@ -180,18 +274,18 @@ def fit_leaning(image, spot, other, neighbours, blur, gain, out):
         if math.hypot(trial[PX] - spot[X], trial[PY] - spot[Y]) > 2.0:
             damping = damping * 10.0
             continue
-        trial_chi2, _, _ = _evaluate(image, spot, neighbours, blur, gain, trial, x0, x1, y0, y1, False, n, r)
+        trial_chi2, trial_plain, trial_number = _add_up(pixels, count, spot, blur, gain, trial, trial_n, trial_r)
         if trial_chi2 < chi2:
             gained = chi2 - trial_chi2
-            p[:] = trial
-            chi2, plain, pixels = _evaluate(image, spot, neighbours, blur, gain, p, x0, x1, y0, y1, True, n, r)
+            p[:], n[:, :], r[:] = trial, trial_n, trial_r
+            chi2, plain, number = trial_chi2, trial_plain, trial_number
             damping *= 0.2
             if gained < 1e-3 * chi2:
                 break
         else:
             damping = damping * 6.0
-    dof = pixels - PARAMETERS
-    if dof < 10 or math.sqrt(plain / pixels) > WORST_MISFIT * spot[HEIGHT]:
+    dof = number - PARAMETERS
+    if dof < 10 or math.sqrt(plain / number) > WORST_MISFIT * spot[HEIGHT]:
         return False
     scale = max(chi2 / dof, 1.0)
     if scale > WORST_SCALE:
