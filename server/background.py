@@ -15,7 +15,7 @@ from asterism.server.compiled import compiled
 TILE_PX = 128
 BLOCK_ROWS = 8  # rows that share one row of seed thresholds
 _SAMPLED_ROWS = 8  # of a tile
-_STEP_PX = 8  # between samples of a row
+_STEP_PX = 4  # between samples of a row
 _PART_BITS = 7  # of a grey level's parts, in which thresholds are stepped
 LARGEST_STEP = 48  # grey levels between neighbours: beyond it certainly an edge
 LEAST_LAMP = 12.0  # grey levels by which a tile that a lamp fills stands out

@@ -257,7 +257,7 @@ def fit_leaning(image, spot, other, neighbours, blur, gain, out):
     chi2, plain, number = _add_up(pixels, count, spot, blur, gain, p, n, r)
     damping = 1e-2
     for iteration in range(ITERATIONS):
-        if iteration >= PATIENCE and chi2 > HOPELESS * WORST_SCALE * (pixels - PARAMETERS):
+        if iteration >= PATIENCE and chi2 > HOPELESS * WORST_SCALE * (number - PARAMETERS):
             return False
         work[:, :] = n
         move[:] = r
