@@ -27,7 +27,7 @@ from asterism.server.quads import look_up
 Ints = NDArray[np.int64]
 
 # Passes: least ratio of heights and of radii, nearest neighbours that are combined.
-ALIKE_HEIGHT, ALIKE_RADIUS, ALIKE_DEPTHS = 0.5, 0.6, (6, 10)
+ALIKE_HEIGHT, ALIKE_RADIUS, ALIKE_DEPTHS = 0.5, 0.75, (6, 10)
 HEIGHT_RATIO, RADIUS_RATIO = 0.2, 0.4
 DEPTHS = (8, 14, 24)
 MOST_QUADS = 12  # for every spot, of less alike ones; beyond that only the nearer combinations were tried
