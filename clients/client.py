@@ -5,6 +5,7 @@ with PoseClient("tcp/127.0.0.1:7447") as robots:
     for pose in robots["alpha"]: ...               # each new pose, newest first wins
 """
 
+import atexit
 import logging
 import threading
 import time
@@ -139,6 +140,8 @@ class PoseClient:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._connect, name="asterism-connect", daemon=True)
         self._thread.start()
+        # zenoh's threads that call us would abort the process if Python ended beneath them.
+        atexit.register(self.close)
 
     def __getitem__(self, robot: str) -> RobotFeed:
         """The feed of one robot. Raises InputError for an id that is no part of a key."""
@@ -157,7 +160,8 @@ class PoseClient:
         return bool(self._servers)
 
     def close(self) -> None:
-        """Stop receiving; iterations over feeds end."""
+        """Stop receiving; iterations over feeds end. Happens by itself when the program ends."""
+        atexit.unregister(self.close)
         self._stop.set()
         self._thread.join()
         with self._lock:

@@ -68,7 +68,7 @@ def _answers(
     costs, covariances, residuals = np.empty((m, 2)), np.empty((m, 2, 6, 6)), np.empty((m, 2, 6, 2))
     solve_robots(
         plan.layouts[matches.robots], matches.assignment, seen.rays, seen.covariances, blobs.centres_px[seen.rows],
-        matches.rotations, matches.ts, matches.is_warm, plan.lens, plan.optics[matches.robots],
+        matches.rotations, matches.ts, plan.lens, plan.optics[matches.robots],
         rotations, ts, costs, covariances, residuals,
     )  # fmt: skip
     best, odds = np.empty(m, np.int64), np.empty(m)

@@ -22,7 +22,7 @@ from asterism.server.planar import (
     solve_both,
 )
 from asterism.server.rotations import angle_between, product_into
-from asterism.server.spot_shift import correct_rays, has_shift, refine_shifted, spot_shifts
+from asterism.server.spot_shift import correct_rays, refine_shifted, spot_shifts
 
 ITERATIONS = 12
 FEW = 3  # iterations, after which a second minimum that costs more than the first by HOPELESS is good enough
@@ -34,7 +34,10 @@ NO_SYSTEMATIC = 20.0  # odds, before a look at the residuals, that the spots' ow
 LEAST_SYSTEMATIC_PX = 0.002  # and from where on, in doublings, it is not: calibration, LED positions
 SYSTEMATIC_STEPS = 9
 NEGLIGIBLE = 0.02  # of a spot's own variance
-SAME_RAD = 0.002  # poses that are no more apart are one
+# Seen nearly in front, both minima may be one: poses no more apart than this. Where the tilt is then no better known
+# than that, its sign is open, and the copy stays as the alternative that says so.
+SAME_RAD = 0.002
+SURE_TILT_RAD = 0.0175
 LEAST_SIGMA_PX = 0.001  # no centre is known better than this
 # 99.9 % of chi squared for 2, 4 and 6 degrees of freedom: beyond it the spots' noise is not the whole story.
 _SURPRISE = np.array([0.0, 0.0, 0.0, 0.0, 13.8, 18.5, 22.5])
@@ -232,15 +235,31 @@ def _odd_led(layout, spots, rays, ray_covariances, shifts, start_rotation, start
 
 
 @compiled
+def _other(both, both_t, known, points, seen, applied, information, optics, focal, cost):
+    """Fill the pose's other minimum (both (2, 3, 3), both_t (2, 3)) from the ``known`` one of that cost; its own cost.
+
+    ``seen`` and ``applied`` as in `correct_rays`; they become the other's.
+    """
+    rotation, t = both[1 - known], both_t[1 - known]
+    if not other_minimum(both[known], both_t[known], points, seen, rotation, t) or t[2] <= 0.0:
+        return NO_SOLUTION
+    correct_rays(rotation, t, points, optics, seen, applied)
+    found = refine_pose(rotation, t, points, seen, information, FEW)
+    if found < cost + HOPELESS:
+        found = refine_shifted(rotation, t, points, seen, applied, information, optics, focal, ITERATIONS)
+    return found
+
+
+@compiled
 def solve_robots(
-    layouts, assignment, rays, ray_covariances, centres, start_rotations, start_ts, is_warm, lens, optics,
+    layouts, assignment, rays, ray_covariances, centres, start_rotations, start_ts, lens, optics,
     rotations, ts, costs, covariances, residuals,
 ):  # fmt: skip
     """Solve every matched robot.
 
     ``layouts`` (m, 6, 3) m; ``assignment`` (m, 6) spots or -1, changed where one of six spots turns out to be
     odd; ``rays`` (n, 2), ``ray_covariances`` (n, 3) and ``centres`` (n, 2) px of the spots; ``start_rotations``
-    (m, 3, 3) and ``start_ts`` (m, 3) from the matching, of use where ``is_warm`` (m,); ``lens`` as in `lens`,
+    (m, 3, 3) and ``start_ts`` (m, 3) from the matching; ``lens`` as in `lens`,
     ``optics`` (m, OPTICS) as in `spot_shift`.
 
     Fills, for both minima of every robot, ``rotations`` (m, 2, 3, 3) and ``ts`` (m, 2, 3) = T_camera_plane,
@@ -253,6 +272,7 @@ def solve_robots(
     seen, applied = np.empty((2, LEDS, 2)), np.empty((2, LEDS, 2))
     centre, arm, a, b = np.empty(3), np.empty(3), np.empty((6, 6)), np.empty(6)
     start, start_t = np.empty((3, 3)), np.empty(3)
+    kept, kept_t = np.empty((3, 3)), np.empty(3)
     focal = math.sqrt(lens[FX] * lens[FY])
     for robot in range(layouts.shape[0]):
         layout, spots, glass = layouts[robot], assignment[robot], optics[robot]
@@ -274,23 +294,26 @@ def solve_robots(
             applied[1, :, :] = applied[0]
             p, w = points[:count], information[:count]
             s0, s1, d0, d1 = seen[0, :count], seen[1, :count], applied[0, :count], applied[1, :count]
-            if attempt == 0 and is_warm[robot]:
+            if attempt == 0:
                 both[0] = start
                 for i in range(3):
                     both_t[0, i] = start_t[i]
                     for j in range(3):
                         both_t[0, i] += start[i, j] * centre[j]
                 both_costs[0] = refine_shifted(both[0], both_t[0], p, s0, d0, w, glass, focal, ITERATIONS)
-                if other_minimum(both[0], both_t[0], p, s0, both[1], both_t[1]) and both_t[1, 2] > 0.0:
-                    correct_rays(both[1], both_t[1], p, glass, s1, d1)
-                    both_costs[1] = refine_pose(both[1], both_t[1], p, s1, w, FEW)
-                    if both_costs[1] < both_costs[0] + HOPELESS:
-                        both_costs[1] = refine_shifted(both[1], both_t[1], p, s1, d1, w, glass, focal, ITERATIONS)
+                both_costs[1] = _other(both, both_t, 0, p, s1, d1, w, glass, focal, both_costs[0])
+                if both_costs[1] < both_costs[0]:
+                    # The start was the worse one's, perhaps too far from it to arrive: from the better it is near.
+                    kept[:, :], kept_t[:] = both[0], both_t[0]
+                    kept_cost = both_costs[0]
+                    both_costs[0] = _other(both, both_t, 1, p, s0, d0, w, glass, focal, both_costs[1])
+                    if both_costs[0] > kept_cost:
+                        both[0], both_t[0] = kept, kept_t
+                        both_costs[0] = kept_cost
+                        correct_rays(both[0], both_t[0], p, glass, s0, d0)
             else:
-                if attempt == 0:
-                    solve_both(p, s0, w, ITERATIONS, True, both, both_t, both_costs)
                 for which in range(2):
-                    if both_costs[which] < NO_SOLUTION and (attempt == 1 or has_shift(glass)):
+                    if both_costs[which] < NO_SOLUTION:
                         both_costs[which] = refine_shifted(
                             both[which], both_t[which], p, seen[which, :count], applied[which, :count], w, glass,
                             focal, ITERATIONS,
@@ -303,8 +326,6 @@ def solve_robots(
             extra, _ = _systematic(both[better], both_t[better], p, seen[better, :count], w, focal)
             if extra * (w[:, 0].max() + w[:, 2].max()) < NEGLIGIBLE:
                 break
-        if both_costs[0] < NO_SOLUTION and both_costs[1] < NO_SOLUTION and angle_between(both[0], both[1]) < SAME_RAD:
-            both_costs[1 - better] = NO_SOLUTION  # seen nearly in front, both minima may be one
         for which in range(2):
             rotation, t = both[which], both_t[which]
             towards = 0.0
@@ -335,6 +356,24 @@ def solve_robots(
                     px, py = project_point(lens, x + shifts[led, 0] * z, y + shifts[led, 1] * z, z)
                     residuals[robot, which, led, 0] = centres[spots[led], 0] - px
                     residuals[robot, which, led, 1] = centres[spots[led], 1] - py
+        if (
+            both_costs[0] < NO_SOLUTION
+            and both_costs[1] < NO_SOLUTION
+            and angle_between(both[0], both[1]) < SAME_RAD
+            and _tilt_variance(both[better], covariances[robot, better]) < SURE_TILT_RAD**2
+        ):
+            both_costs[1 - better] = NO_SOLUTION
+
+
+@compiled
+def _tilt_variance(rotation, covariance):
+    """Variance of the plane's normal, rad^2, both directions together, from the pose's covariance (6, 6)."""
+    total = 0.0
+    for i in range(3):
+        total += covariance[3 + i, 3 + i]
+        for j in range(3):
+            total -= rotation[i, 2] * covariance[3 + i, 3 + j] * rotation[j, 2]
+    return total
 
 
 @compiled

@@ -1,6 +1,8 @@
 """For all tests: the chain is compiled first; one seeded generator a test, named after it, so that failures repeat."""
 
+import threading
 import zlib
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -12,6 +14,13 @@ from asterism.server.warm_up import warm_up
 def _compiled() -> None:
     """No test's clock or output is disturbed by what happens only at the first start on a machine."""
     warm_up()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _closed() -> Iterator[None]:
+    """Every zenoh session is closed: a callback's thread that is left aborts the process as Python ends."""
+    yield
+    assert not [thread.name for thread in threading.enumerate() if "pyo3" in thread.name]
 
 
 @pytest.fixture

@@ -2,6 +2,8 @@
 
 import itertools
 import json
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -170,8 +172,22 @@ def test_other_robots_poses_do_not_arrive(endpoint: str, server: Server) -> None
         alpha, bravo = robots["alpha"], robots["bravo"]
         until(lambda: server.tell(ROBOT_POSE) or alpha.latest(10.0) is not None)
         assert bravo.latest(10.0) is None
-    with pytest.raises(InputError, match=r"robot id 'a/b' holds '/'"):
-        PoseClient(endpoint)["a/b"]
+    with PoseClient(endpoint) as robots, pytest.raises(InputError, match=r"robot id 'a/b' holds '/'"):
+        robots["a/b"]
+
+
+def test_a_program_that_does_not_close_its_client_ends_as_it_should(endpoint: str, server: Server) -> None:
+    program = (
+        "import sys, time\n"
+        "from asterism.clients import PoseClient\n"
+        "client = PoseClient(sys.argv[1])\n"
+        "feed = client['alpha']\n"
+        "while feed.latest(10.0) is None:\n"
+        "    time.sleep(0.01)\n"
+    )
+    ending = subprocess.Popen([sys.executable, "-c", program, endpoint], stderr=subprocess.PIPE, text=True)
+    until(lambda: server.tell(ROBOT_POSE) or ending.poll() is not None)
+    assert (ending.returncode, ending.communicate()[1]) == (0, "")
 
 
 def test_iteration_gives_the_newest_in_order_and_ends_with_the_client(endpoint: str, server: Server) -> None:

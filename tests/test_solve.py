@@ -33,7 +33,7 @@ def nees(rng: np.random.Generator, hidden: int, led_error_m: float) -> tuple[Flo
     covariances, residuals = np.empty((ROBOTS, 2, 6, 6)), np.empty((ROBOTS, 2, 6, 2))
     solve_robots(
         layouts, assignment, rays, ray_covariances, pixels, np.array([pose.rotation for pose in poses]),
-        np.array([pose.position for pose in poses]), np.ones(ROBOTS, np.bool_), lens_of(camera),
+        np.array([pose.position for pose in poses]), lens_of(camera),
         np.zeros((ROBOTS, OPTICS)), rotations, ts, costs, covariances, residuals,
     )  # fmt: skip
     told = []

@@ -24,7 +24,7 @@ def plate(rng: np.random.Generator) -> Floats:
 
 
 def solve(
-    layout: Floats, rays: Floats, start: Pose, radius: float, warm: bool, assignment: Floats | None = None
+    layout: Floats, rays: Floats, start: Pose, radius: float, assignment: Floats | None = None
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Both minima of one robot: rotations (2, 3, 3), ts (2, 3), costs (2,), residuals (2, 6, 2) px."""
     camera = make_camera()
@@ -34,7 +34,7 @@ def solve(
     pose_covariances, residuals = np.empty((1, 2, 6, 6)), np.empty((1, 2, 6, 2))
     solve_robots(
         layout[None], np.arange(6)[None] if assignment is None else assignment[None], rays, covariances, pixels,
-        start.rotation[None], start.position[None], np.array([warm]), lens_of(camera), optics(radius)[None],
+        start.rotation[None], start.position[None], lens_of(camera), optics(radius)[None],
         rotations, ts, costs, pose_covariances, residuals,
     )  # fmt: skip
     return rotations[0], ts[0], costs[0], residuals[0]
@@ -52,20 +52,19 @@ def test_the_closed_form_is_the_conics_centre(rng: np.random.Generator, radius: 
         )
 
 
-@pytest.mark.parametrize("warm", [False, True])
 @pytest.mark.parametrize("hidden", [0, 1])
-def test_poses_of_discs_are_exact_where_the_radius_is_known(rng: np.random.Generator, warm: bool, hidden: int) -> None:
+def test_poses_of_discs_are_exact_where_the_radius_is_known(rng: np.random.Generator, hidden: int) -> None:
     ignored = []
     for _ in range(40):
         layout, pose = plate(rng), facing_pose(rng, depth_m=(0.5, 1.0), tilt_deg=(20, 65))
         rays = conic_centres(pose, layout, RADIUS)
         assignment = np.arange(6)
         assignment[:hidden] = -1
-        rotations, ts, costs, residuals = solve(layout, rays, pose, RADIUS, warm, assignment.copy())
+        rotations, ts, costs, residuals = solve(layout, rays, pose, RADIUS, assignment.copy())
         best = int(np.argmin(costs))
         assert_poses_close(Pose.from_matrix(rotations[best], ts[best]), pose, 2e-9, 1e-7)
         assert np.abs(residuals[best]).max() < 1e-5
-        rotations, ts, costs, _ = solve(layout, rays, pose, 0.0, warm, assignment.copy())
+        rotations, ts, costs, _ = solve(layout, rays, pose, 0.0, assignment.copy())
         ignored.append(np.linalg.norm(ts[int(np.argmin(costs))] - pose.position))
     assert np.median(ignored) > 2e-6
 
@@ -82,9 +81,9 @@ def test_the_other_minimum_gets_its_own_shift(rng: np.random.Generator) -> None:
     # Spots drawn at the second minimum's own pose make that one exact, although the first is what was started from.
     for _ in range(20):
         layout, pose = plate(rng), facing_pose(rng, depth_m=(0.8, 1.2), tilt_deg=(25, 45))
-        rotations, ts, costs, _ = solve(layout, conic_centres(pose, layout, RADIUS), pose, RADIUS, True)
+        rotations, ts, costs, _ = solve(layout, conic_centres(pose, layout, RADIUS), pose, RADIUS)
         assert costs[1] > costs[0]
         mirror = Pose.from_matrix(rotations[1], ts[1])
-        again = solve(layout, conic_centres(mirror, layout, RADIUS), pose, RADIUS, True)
+        again = solve(layout, conic_centres(mirror, layout, RADIUS), pose, RADIUS)
         best = int(np.argmin(again[2]))
         assert_poses_close(Pose.from_matrix(again[0][best], again[1][best]), mirror, 2e-9, 1e-7)

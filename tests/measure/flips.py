@@ -16,6 +16,7 @@ from rich.table import Table
 
 from asterism.protocol.geometry import Floats
 from asterism.server.lens import lens_of
+from asterism.server.linear_pose import pose_by_homography
 from asterism.server.pipeline import SURE
 from asterism.server.solve import solve_robots
 from asterism.server.spot_shift import OPTICS
@@ -41,13 +42,17 @@ def count_flips(
     rng = np.random.default_rng([round(10 * distance), round(tilt[1]), round(1e3 * sigma_px), hidden])
     camera, sigma = make_camera(), sigma_px / 1400
     flat = [random_layout(rng) for _ in range(LAYOUTS)]
-    layouts, poses, rays = np.zeros((count, 6, 3)), [], np.empty((6 * count, 2))
+    layouts, poses, starts, rays = np.zeros((count, 6, 3)), [], [], np.empty((6 * count, 2))
     for k in range(count):
         layouts[k, :, :2] = flat[k % LAYOUTS] - flat[k % LAYOUTS].mean(axis=0)
         pose = facing_pose(rng, (distance, distance), tilt)
         mapped = pose.map(layouts[k] + led_error_m * rng.standard_normal((6, 3)) * [1, 1, 0])
         rays[6 * k : 6 * k + 6] = mapped[:, :2] / mapped[:, 2:] + sigma * rng.standard_normal((6, 2))
         poses.append(pose)
+        # What a frame gives, and nothing of the truth: the linear pose, of either tilt.
+        start = pose_by_homography(layouts[k, hidden:], rays[6 * k + hidden : 6 * k + 6])
+        assert start is not None, "six LEDs of a random plate are not on a line"
+        starts.append(start)
     assignment = np.arange(6 * count).reshape(count, 6)
     assignment[:, :hidden] = -1
     ray_covariances = np.tile([sigma**2, 0.0, sigma**2], (6 * count, 1))
@@ -55,9 +60,9 @@ def count_flips(
     rotations, ts, costs = np.empty((count, 2, 3, 3)), np.empty((count, 2, 3)), np.empty((count, 2))
     covariances, residuals = np.empty((count, 2, 6, 6)), np.empty((count, 2, 6, 2))
     solve_robots(
-        layouts, assignment, rays, ray_covariances, pixels, np.array([pose.rotation for pose in poses]),
-        np.array([pose.position for pose in poses]), np.zeros(count, np.bool_), lens_of(camera),
-        np.zeros((count, OPTICS)), rotations, ts, costs, covariances, residuals,
+        layouts, assignment, rays, ray_covariances, pixels, np.array([start.rotation for start in starts]),
+        np.array([start.position for start in starts]), lens_of(camera), np.zeros((count, OPTICS)),
+        rotations, ts, costs, covariances, residuals,
     )  # fmt: skip
     told = np.zeros(4)
     for pose, both, (first, second) in zip(poses, rotations, costs, strict=True):
