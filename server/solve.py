@@ -37,7 +37,7 @@ NEGLIGIBLE = 0.02  # of a spot's own variance
 # Seen nearly in front, both minima may be one: poses no more apart than this. Where the tilt is then no better known
 # than that, its sign is open, and the copy stays as the alternative that says so.
 SAME_RAD = 0.002
-SURE_TILT_RAD = 0.0175
+SURE_TILT_RAD = 0.022
 LEAST_SIGMA_PX = 0.001  # no centre is known better than this
 # 99.9 % of chi squared for 2, 4 and 6 degrees of freedom: beyond it the spots' noise is not the whole story.
 _SURPRISE = np.array([0.0, 0.0, 0.0, 0.0, 13.8, 18.5, 22.5])
