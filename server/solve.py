@@ -34,6 +34,7 @@ NO_SYSTEMATIC = 20.0  # odds, before a look at the residuals, that the spots' ow
 LEAST_SYSTEMATIC_PX = 0.002  # and from where on, in doublings, it is not: calibration, LED positions
 SYSTEMATIC_STEPS = 9
 NEGLIGIBLE = 0.02  # of a spot's own variance
+SLIGHT = 0.5  # up to here more variance of every spot makes the pose less sure, but hardly moves it
 # Seen nearly in front, both minima may be one: poses no more apart than this. Where the tilt is then no better known
 # than that, its sign is open, and the copy stays as the alternative that says so.
 SAME_RAD = 0.002
@@ -278,7 +279,7 @@ def solve_robots(
         layout, spots, glass = layouts[robot], assignment[robot], optics[robot]
         both, both_t, both_costs = rotations[robot], ts[robot], costs[robot]
         both_costs[:] = NO_SOLUTION
-        extra = 0.0
+        extra, is_slight = 0.0, False
         start[:, :] = start_rotations[robot]
         start_t[:] = start_ts[robot]
         spot_shifts(start, start_t, layout, glass, shifts)
@@ -313,7 +314,7 @@ def solve_robots(
                         correct_rays(both[0], both_t[0], p, glass, s0, d0)
             else:
                 for which in range(2):
-                    if both_costs[which] < NO_SOLUTION:
+                    if both_costs[which] < NO_SOLUTION and not is_slight:
                         both_costs[which] = refine_shifted(
                             both[which], both_t[which], p, seen[which, :count], applied[which, :count], w, glass,
                             focal, ITERATIONS,
@@ -324,8 +325,10 @@ def solve_robots(
             # Residuals beyond the spots' noise: whatever causes them counts as noise of every spot.
             own[:count] = w
             extra, _ = _systematic(both[better], both_t[better], p, seen[better, :count], w, focal)
-            if extra * (w[:, 0].max() + w[:, 2].max()) < NEGLIGIBLE:
+            share = extra * (w[:, 0].max() + w[:, 2].max())
+            if share < NEGLIGIBLE:
                 break
+            is_slight = share < SLIGHT
         for which in range(2):
             rotation, t = both[which], both_t[which]
             towards = 0.0
