@@ -36,10 +36,15 @@ class Judged:
 
     @property
     def wrong(self) -> bool:
-        """A pose of a robot that is not there, or of one that is elsewhere."""
+        """A pose of a robot that is not there, or of one that is elsewhere, where its other tilt would be as well."""
         if self.answer is None:
             return False
-        return self.true is None or bool(np.linalg.norm(self.error[:3]) > FAR_OFF_M)
+        if self.true is None:
+            return True
+        told = [self.answer.position]
+        if self.answer.alternative is not None:
+            told.append(self.answer.alternative.position)
+        return all(bool(np.linalg.norm(position - self.true.position) > FAR_OFF_M) for position in told)
 
     @property
     def tilted(self) -> bool:

@@ -3,9 +3,9 @@
 Rendered frames with clutter, hidden LEDs, reflections, strangers and robots side by side, each located alone. A robot's
 LED is "in place" if a spot that was kept lies within one pixel of where the LED truly is: what is lost before is the
 image's fault or the segmentation's, what is lost after is identification's. "covered": clutter or another LED is in its
-way. "wrong": more than 20 mm off or not there; "tilt": more than 5 degrees off in silence (tests/judging.py);
-"strained": neither, but the squared error is 60 or more in units of the covariance. Everything is seeded: whatever is
-listed below the tables can be had again as `SCENES[name](number)`.
+way. "wrong": more than 20 mm off, the other tilt too if it is told, or not there; "tilt": more than 5 degrees off in
+silence (tests/judging.py); "strained": neither, but the squared error is 60 or more in units of the covariance.
+Everything is seeded: whatever is listed below the tables can be had again as `SCENES[name](number)`.
 """
 
 import argparse
