@@ -2,7 +2,6 @@
 
 import argparse
 import importlib
-import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +9,8 @@ from typing import NoReturn
 
 from asterism.protocol import VERSION
 from asterism.protocol.errors import InputError, WorldError
+from asterism.server.calibration_arguments import add_calibration
+from asterism.server.number_arguments import count, number, positive
 
 _EXAMPLES = """\
 asterism demo                                     five simulated robots: localized, published, recorded, watched
@@ -64,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
         "simulated camera, five robots on a curved surface: serve, record, watch",
         "asterism demo\nasterism demo --seconds 5 --record /tmp\n",
     )
-    demo.add_argument("--seconds", metavar="N", type=_positive, default=20.0, help="how long (default: 20)")
+    demo.add_argument("--seconds", metavar="N", type=positive, default=20.0, help="how long (default: 20)")
     demo.add_argument("--forever", action="store_true", help="until Ctrl-C")
     demo.add_argument(
         "--record", metavar="DIR", type=Path, default=Path("recordings-demo"), help="default: recordings-demo"
@@ -81,7 +82,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     serve.add_argument("rig", metavar="RIG", help="rig.yaml")
     serve.add_argument("source", metavar="SOURCE", help=_SOURCE)
-    serve.add_argument("--rate", metavar="HZ", type=_positive, help="play images or a video at this rate")
+    serve.add_argument("--rate", metavar="HZ", type=positive, help="play images or a video at this rate")
     serve.add_argument("--record", metavar="DIR", type=Path, help="record into a new folder in DIR")
     serve.add_argument(
         "--record-frames",
@@ -123,7 +124,7 @@ def _parser() -> argparse.ArgumentParser:
         "asterism replay RECORDING --solve rig.yaml\n",
     )
     replay.add_argument("recording", metavar="RECORDING", type=Path, help="a recording's folder")
-    replay.add_argument("--speed", metavar="X", type=_positive, default=1.0, help="times faster (default: 1)")
+    replay.add_argument("--speed", metavar="X", type=positive, default=1.0, help="times faster (default: 1)")
     replay.add_argument("--loop", action="store_true", help="again and again, until Ctrl-C")
     replay.add_argument("--solve", metavar="RIG", help="solve the recorded frames again, with this rig")
     replay.add_argument(
@@ -161,8 +162,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     simulate.add_argument("rig", metavar="RIG", help="rig.yaml")
     simulate.add_argument("out", metavar="OUT", type=Path, help="a new folder")
-    simulate.add_argument("--frames", metavar="N", type=_count, default=60, help="how many (default: 60)")
-    simulate.add_argument("--rate", metavar="HZ", type=_positive, help="default: the rig's capture.rate, or 60")
+    simulate.add_argument("--frames", metavar="N", type=count, default=60, help="how many (default: 60)")
+    simulate.add_argument("--rate", metavar="HZ", type=positive, help="default: the rig's capture.rate, or 60")
     simulate.add_argument("--seed", metavar="N", type=int, default=0, help="default: 0")
     simulate.add_argument(
         "--hide", metavar="P", type=_share, default=0.0, help="probability that an LED is hidden (default: 0)"
@@ -171,57 +172,36 @@ def _parser() -> argparse.ArgumentParser:
 
     recover = command("recover", "make a recording that was cut off readable again", "asterism recover RECORDING\n")
     recover.add_argument("recording", metavar="RECORDING", type=Path, help="a recording's folder")
+    add_calibration(command)
     return parser
 
 
-def _positive(text: str) -> float:
-    value = _number(text)
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"{text}, expected a number above 0")
-    return value
-
-
 def _not_negative(text: str) -> float:
-    value = _number(text)
+    value = number(text)
     if not value >= 0:
         raise argparse.ArgumentTypeError(f"{text}, expected a number, 0 or more")
     return value
 
 
 def _share(text: str) -> float:
-    value = _number(text)
+    value = number(text)
     if not 0 <= value <= 1:
         raise argparse.ArgumentTypeError(f"{text}, expected a number from 0 to 1")
     return value
 
 
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected a number") from None
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r}, expected a finite number")
-    return value
-
-
-def _count(text: str) -> int:
-    if not text.isdigit() or int(text) == 0:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected a whole number above 0")
-    return int(text)
-
-
 def _every(text: str) -> int:
     if text in ("all", "none"):
         return int(text == "all")
-    return _count(text)
+    return count(text)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code: 0 done, 1 the world failed, 2 the user's input is wrong."""
     options = _parser().parse_args(arguments)
     try:
-        module = importlib.import_module(f"asterism.server.command.{options.command}")
+        name = f"calibrate_{options.what}" if options.command == "calibrate" else options.command
+        module = importlib.import_module(f"asterism.server.command.{name}")
         code: int = module.run(options)
     except InputError as error:
         print(f"asterism: {error}", file=sys.stderr)
