@@ -1,6 +1,5 @@
 """Writing what a calibration found: nothing is overwritten unasked, and what was there is kept beside."""
 
-import os
 from pathlib import Path
 
 from asterism.protocol.errors import InputError, WorldError
@@ -32,8 +31,8 @@ def write_result_file(path: Path, text: str, force: bool) -> Path | None:
         new.write_text(text, encoding="utf-8")
         if path.exists():
             kept = _free_name(path)
-            os.link(path, kept)
-        os.replace(new, path)
+            kept.hardlink_to(path)
+        new.replace(path)
     except OSError as error:
         raise WorldError(f"{path}: cannot be written ({error.strerror})") from None
     return kept
