@@ -300,6 +300,15 @@ def open_source(text: str, rig: Rig, say: Say, seed: int = 0) -> Source:
     )
 
 
+def refuse_endless(text: str, command: str) -> None:
+    """Raise InputError for a source that never ends; ``command`` is what cannot use it."""
+    if text == "sim" or text.isdigit() or text.startswith("/dev/video"):
+        raise InputError(
+            f"{text}: has no end; {command} takes a folder or glob of images, a video or a recording "
+            "(asterism simulate makes images)"
+        )
+
+
 def _images(name: str, paths: list[Path], rig: Rig, say: Say) -> ImageFiles:
     images = sorted((path for path in paths if path.suffix.lower() in EXTENSIONS), key=natural_key)
     if not images:

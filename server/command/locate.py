@@ -17,7 +17,7 @@ from asterism.server.frame import Frame, FrameResult
 from asterism.server.pipeline import localize
 from asterism.server.smooth import Motions, smooth
 from asterism.server.solve import PoseEstimate
-from asterism.server.sources import open_source
+from asterism.server.sources import open_source, refuse_endless
 from asterism.server.track import Tracks
 from asterism.server.warm_up import warm_up
 
@@ -28,11 +28,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("--independent and --smooth exclude each other: each frame alone, or joined to those before")
     rig = load_rig(options.rig)
     say_warnings(rig)
-    if options.source == "sim" or options.source.isdigit() or options.source.startswith("/dev/video"):
-        raise InputError(
-            f"{options.source}: has no end; locate takes a folder or glob of images, a video or a recording "
-            "(asterism simulate makes images)"
-        )
+    refuse_endless(options.source, "locate")
     source = open_source(options.source, rig, say)
     warm_up()
     encoder = msgspec.json.Encoder()

@@ -1,0 +1,313 @@
+"""Bundle adjustment: a robot's six LED positions and its pose in every view, fitted together to the labelled centres.
+
+Two of the unknowns no film can tell, and they are fixed by convention: where the robot's frame lies (the best rigid fit
+to the positions given at the start stays) and the scale (one measured distance between two LEDs).
+
+Method: Levenberg-Marquardt on the normal equations with the poses eliminated (Schur complement; Triggs, McLauchlan,
+Hartley, Fitzgibbon: "Bundle adjustment - a modern synthesis", 2000, sections 6 and 9 for the gauge). First with
+Cauchy weights; then what lies far off is left out and the rest is fitted by plain weighted least squares, so that the
+covariance means what it says.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag, null_space
+
+from asterism.protocol.constellation import LEDS
+from asterism.protocol.geometry import Floats, exp_rotation
+
+ITERATIONS = 60
+CONVERGED = 1e-10  # of the cost, relative
+CAUCHY = 3.0  # sigmas: the residual that the robust loss gives half its weight
+FAR_OFF = 4.5  # sigmas: centres farther off are left out of the last fit
+FEWEST_LEDS = 5  # of a view: with four there is hardly a residual left
+MEDIAN_CHI2 = 1.386  # of two degrees of freedom
+
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Views:
+    """A robot in v views: ``rays`` (v, 6, 2) = x / z, y / z of its LEDs' centres; ``information`` (v, 6, 2, 2) the
+    inverse of their covariances, zero where an LED is not seen; ``rotations`` (v, 3, 3), ``ts`` (v, 3) T_camera_robot.
+    """
+
+    rays: Floats
+    information: Floats
+    rotations: Floats
+    ts: Floats
+
+    def __len__(self) -> int:
+        return len(self.rays)
+
+    def __getitem__(self, rows: NDArray[np.generic]) -> "Views":
+        return Views(self.rays[rows], self.information[rows], self.rotations[rows], self.ts[rows])
+
+    @property
+    def seen(self) -> Bools:
+        """(v, 6): which LEDs are."""
+        visible: Bools = self.information[:, :, 0, 0] > 0.0
+        return visible
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adjusted:
+    """What a bundle adjustment found.
+
+    ``leds`` (6, 3) m in the robot's frame, ``covariance`` (18, 18) m^2 of them row by row, scaled by
+    ``chi2_per_dof``, given frame and scale; ``views`` with the poses found and only the centres that agree; ``left_out``
+    counts the other centres.
+    """
+
+    leds: Floats
+    covariance: Floats
+    chi2_per_dof: float
+    views: Views
+    left_out: int
+
+    @property
+    def sigmas(self) -> Floats:
+        """Standard deviations (6, 3), m."""
+        deviations: Floats = np.sqrt(np.diag(self.covariance)).reshape(LEDS, 3)
+        return deviations
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Disc:
+    """What an LED's image depends on beside its centre: the plate's unit ``normal`` (3,) in the robot's frame and the
+    ``radius``, m, of its disc; with 0 the perspective eccentricity is left out.
+    """
+
+    normal: Floats
+    radius: float
+
+
+def adjust(given: Floats, start: Floats, views: Views, distance: tuple[int, int, float], disc: Disc) -> Adjusted:
+    """Fit positions and poses to the views.
+
+    ``given`` (6, 3) m are the positions whose frame is kept, ``start`` (6, 3) m where the fit begins; ``distance`` is
+    (i, j, m) between two LEDs.
+    """
+    leds = start
+    leds, views = _descend(leds, views, disc, robust=True)
+    for _ in range(5):
+        views, flipped = _better_tilts(leds, views, disc)
+        if not flipped:
+            break
+        leds, views = _descend(leds, views, disc, robust=True)
+    good = _agreeing(leds, views, disc)
+    left_out = int(views.seen.sum() - good.sum())
+    views = Views(views.rays, views.information * good[:, :, None, None], views.rotations, views.ts)
+    views = views[good.any(axis=1)]
+    leds, views = _descend(leds, views, disc, robust=False)
+    leds, views = _in_gauge(leds, views, given, distance)
+    residuals, by_pose, by_led = linearise(leds, views, disc)
+    _, reduced, _, _ = _normal_equations(residuals, by_pose, by_led, views.information)
+    cost = float(np.einsum("vli,vlij,vlj", residuals, views.information, residuals))
+    free = null_space(_constraints(leds, given, distance))
+    dof = 2 * int(views.seen.sum()) - 6 * len(views) - free.shape[1]
+    chi2_per_dof = cost / max(dof, 1)
+    covariance = free @ np.linalg.inv(free.T @ reduced @ free) @ free.T * chi2_per_dof
+    return Adjusted(leds, covariance, chi2_per_dof, views, left_out)
+
+
+def linearise(leds: Floats, views: Views, disc: Disc) -> tuple[Floats, Floats, Floats]:
+    """Residuals (v, 6, 2), observed minus predicted rays, and the prediction's derivatives by the pose (v, 6, 2, 6) -
+    translation, then rotation about the camera's axes - and by the LED's position (v, 6, 2, 3).
+
+    The eccentricity of a disc's image is findings/algorithms.md, A: the centre of the conic that a circle projects to.
+    """
+    arms = np.einsum("vij,lj->vli", views.rotations, leds)
+    points = arms + views.ts[:, None, :]
+    x, y, z = points[..., 0], points[..., 1], points[..., 2]
+    predicted = points[..., :2] / points[..., 2:]
+    if disc.radius > 0.0:
+        normal = (views.rotations @ disc.normal)[:, None, :]
+        across = disc.radius**2 * normal[..., :2] * normal[..., 2:]
+        predicted = (points[..., :2] * points[..., 2:] + across) / (
+            points[..., 2:] ** 2 - disc.radius**2 * (1.0 - normal[..., 2:] ** 2)
+        )
+    zero = np.zeros_like(z)
+    by_point = np.stack(
+        [np.stack([1 / z, zero, -x / z**2], axis=-1), np.stack([zero, 1 / z, -y / z**2], axis=-1)], axis=-2
+    )  # (v, 6, 2, 3)
+    a, b, c = arms[..., 0], arms[..., 1], arms[..., 2]
+    # d(w x arm)/dw = -[arm]x
+    turn = np.stack(
+        [np.stack([zero, c, -b], axis=-1), np.stack([-c, zero, a], axis=-1), np.stack([b, -a, zero], axis=-1)], axis=-2
+    )
+    by_pose = np.concatenate([by_point, by_point @ turn], axis=-1)
+    return views.rays - predicted, by_pose, by_point @ views.rotations[:, None]
+
+
+def _normal_equations(
+    residuals: Floats, by_pose: Floats, by_led: Floats, information: Floats, damping: float = 0.0
+) -> tuple[tuple[Floats, Floats, Floats], Floats, Floats, Floats]:
+    """The pose blocks (their inverses, couplings to the LEDs (v, 6, 18), right sides (v, 6)), and for the LEDs with the
+    poses eliminated: matrix (18, 18), right side (18,) and the diagonal it had before.
+    """
+    n = len(residuals)
+    weighted_pose = np.einsum("vlik,vlij->vlkj", by_pose, information)
+    weighted_led = np.einsum("vlik,vlij->vlkj", by_led, information)
+    blocks = np.einsum("vlkj,vljm->vkm", weighted_pose, by_pose)
+    blocks[:, range(6), range(6)] *= 1.0 + damping
+    coupling = np.einsum("vlkj,vljm->vklm", weighted_pose, by_led).reshape(n, 6, 3 * LEDS)
+    right = np.einsum("vlkj,vlj->vk", weighted_pose, residuals)
+    own = block_diag(*np.einsum("vlkj,vljm->lkm", weighted_led, by_led))
+    right_led = np.einsum("vlkj,vlj->lk", weighted_led, residuals).ravel()
+    inverses = np.linalg.inv(blocks)
+    reduced = own - np.einsum("vki,vkm,vmj->ij", coupling, inverses, coupling, optimize=True)
+    right_led = right_led - np.einsum("vki,vkm,vm->i", coupling, inverses, right, optimize=True)
+    return (inverses, coupling, right), reduced, right_led, np.diag(own)
+
+
+def _descend(leds: Floats, views: Views, disc: Disc, robust: bool) -> tuple[Floats, Views]:
+    """Levenberg-Marquardt to the minimum; robust weights follow the residuals."""
+    damping, cost, scale = 1e-6, np.inf, 1.0
+    for _ in range(ITERATIONS):
+        residuals, by_pose, by_led = linearise(leds, views, disc)
+        information = views.information
+        squared = np.einsum("vli,vlij,vlj->vl", residuals, information, residuals)
+        if robust:
+            scale = _scale2(squared, views.seen) * CAUCHY**2
+            information = information / (1.0 + squared / scale)[:, :, None, None]
+        cost = _cost(squared, scale if robust else None)
+        free = null_space(_gauge(leds).T)
+        while True:
+            poses, reduced, right, diagonal = _normal_equations(residuals, by_pose, by_led, information, damping)
+            matrix = free.T @ (reduced + np.diag(damping * diagonal)) @ free
+            step = free @ np.linalg.solve(matrix, free.T @ right)
+            inverses, coupling, right_pose = poses
+            moves = np.einsum("vkm,vm->vk", inverses, right_pose - coupling @ step)
+            new_leds, new_views = leds + step.reshape(LEDS, 3), _moved(views, moves)
+            new_squared = _squared(new_leds, new_views, disc)
+            new_cost = _cost(new_squared, scale if robust else None)
+            if new_cost <= cost or damping > 1e6:
+                break
+            damping *= 10.0
+        if new_cost <= cost:
+            leds, views, damping = new_leds, new_views, max(damping / 10.0, 1e-12)
+        if not cost - new_cost > CONVERGED * cost:
+            break
+    return leds, views
+
+
+def _squared(leds: Floats, views: Views, disc: Disc) -> Floats:
+    """Squared residuals (v, 6), whitened; infinite behind the camera."""
+    residuals, _, _ = linearise(leds, views, disc)
+    squared: Floats = np.einsum("vli,vlij,vlj->vl", residuals, views.information, residuals)
+    behind = (views.rotations[:, 2] @ leds.T + views.ts[:, 2:]) <= 0.0
+    return np.where(behind & views.seen, np.inf, squared)
+
+
+def _cost(squared: Floats, scale: float | None) -> float:
+    return float(squared.sum() if scale is None else scale * np.log1p(squared / scale).sum())
+
+
+def _scale2(squared: Floats, seen: Bools) -> float:
+    """Squared scale of the residuals, from their median; six of the two numbers a centre gives go into each pose."""
+    freedom = (2.0 * seen.sum() - 6.0 * len(seen)) / (2.0 * seen.sum())
+    return max(float(np.median(squared[seen])) / MEDIAN_CHI2 / max(freedom, 0.1), 1e-12)
+
+
+def _agreeing(leds: Floats, views: Views, disc: Disc) -> Bools:
+    """(v, 6): the centres that are not far off, in views in which enough are left."""
+    squared = _squared(leds, views, disc)
+    limit = FAR_OFF**2 * _scale2(squared, views.seen)
+    good = views.seen & (squared < limit)
+    good[good.sum(axis=1) < FEWEST_LEDS] = False
+    return good
+
+
+def _moved(views: Views, moves: Floats) -> Views:
+    """Poses moved by (v, 6): translation, rotation vector about the camera's axes."""
+    turns = np.array([exp_rotation(move[3:]) for move in moves])
+    return Views(views.rays, views.information, turns @ views.rotations, views.ts + moves[:, :3])
+
+
+def _better_tilts(leds: Floats, views: Views, disc: Disc) -> tuple[Views, int]:
+    """Every view's other tilt tried, the LEDs held; returns the better poses and how many changed.
+
+    In weak perspective a plane whose normal is mirrored about the line of sight has the same image.
+    """
+    here = _poses_alone(leds, views, disc)
+    middle = leds.mean(axis=0)
+    centres = here.rotations @ middle + here.ts
+    sight = centres / np.linalg.norm(centres, axis=1, keepdims=True)
+    mirror = np.eye(3) - 2.0 * sight[:, :, None] * sight[:, None, :]
+    rotations = mirror @ here.rotations @ (np.eye(3) - 2.0 * np.outer(disc.normal, disc.normal))
+    other = Views(views.rays, views.information, rotations, centres - rotations @ middle)
+    other = _poses_alone(leds, other, disc)
+    better = _squared(leds, other, disc).sum(axis=1) < _squared(leds, here, disc).sum(axis=1) - 1e-9
+    better &= np.einsum("vi,vi->v", other.rotations @ disc.normal, other.rotations @ middle + other.ts) < 0.0
+    rotations = np.where(better[:, None, None], other.rotations, here.rotations)
+    ts = np.where(better[:, None], other.ts, here.ts)
+    return Views(views.rays, views.information, rotations, ts), int(better.sum())
+
+
+def _poses_alone(leds: Floats, views: Views, disc: Disc) -> Views:
+    """Levenberg-Marquardt on every pose by itself."""
+    damping = np.full(len(views), 1e-4)
+    cost = _squared(leds, views, disc).sum(axis=1)
+    for _ in range(12):
+        residuals, by_pose, _ = linearise(leds, views, disc)
+        weighted = np.einsum("vlik,vlij->vlkj", by_pose, views.information)
+        blocks = np.einsum("vlkj,vljm->vkm", weighted, by_pose)
+        blocks[:, range(6), range(6)] *= 1.0 + damping[:, None]
+        moves = np.linalg.solve(blocks, np.einsum("vlkj,vlj->vk", weighted, residuals)[..., None])[..., 0]
+        trial = _moved(views, moves)
+        new = _squared(leds, trial, disc).sum(axis=1)
+        better = new <= cost
+        views = Views(
+            views.rays,
+            views.information,
+            np.where(better[:, None, None], trial.rotations, views.rotations),
+            np.where(better[:, None], trial.ts, views.ts),
+        )
+        cost = np.where(better, new, cost)
+        damping = np.where(better, damping / 10.0, damping * 10.0)
+    return views
+
+
+def _gauge(leds: Floats) -> Floats:
+    """Changes (18, 7) of the positions that no view can tell: shifts, turns, scale."""
+    x, y, z = leds.T
+    zero, one = np.zeros(LEDS), np.ones(LEDS)
+    columns = (
+        *((one, zero, zero), (zero, one, zero), (zero, zero, one)),
+        *((zero, -z, y), (z, zero, -x), (-y, x, zero)),
+        (x, y, z),
+    )
+    return np.column_stack([np.column_stack(column).ravel() for column in columns])
+
+
+def _constraints(leds: Floats, fixed: Floats, distance: tuple[int, int, float]) -> Floats:
+    """What holds frame and scale (7, 18): the best rigid fit to ``fixed`` stays, and so does the distance."""
+    first, second, _ = distance
+    apart = np.zeros((LEDS, 3))
+    apart[first] = (leds[first] - leds[second]) / np.linalg.norm(leds[first] - leds[second])
+    apart[second] = -apart[first]
+    return np.vstack([_gauge(fixed - fixed.mean(axis=0)).T[:6], apart.ravel()])
+
+
+def _in_gauge(leds: Floats, views: Views, fixed: Floats, distance: tuple[int, int, float]) -> tuple[Floats, Views]:
+    """The same adjustment with the distance as measured and the frame that fits ``fixed`` best."""
+    first, second, metres = distance
+    scale = metres / float(np.linalg.norm(leds[first] - leds[second]))
+    turn, shift = rigid_fit(leds * scale, fixed)
+    rotations = views.rotations @ turn.T
+    ts = views.ts * scale - rotations @ shift
+    return leds * scale @ turn.T + shift, Views(views.rays, views.information, rotations, ts)
+
+
+def rigid_fit(points: Floats, fixed: Floats) -> tuple[Floats, Floats]:
+    """Rotation (3, 3) and translation (3,) that bring ``points`` (n, 3) nearest to ``fixed`` (n, 3), least squares.
+
+    Source: Kabsch (1976).
+    """
+    a, b = points - points.mean(axis=0), fixed - fixed.mean(axis=0)
+    u, _, vt = np.linalg.svd(b.T @ a)
+    turn: Floats = u * [1.0, 1.0, np.linalg.det(u @ vt)] @ vt
+    return turn, fixed.mean(axis=0) - turn @ points.mean(axis=0)

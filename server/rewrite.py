@@ -1,0 +1,188 @@
+"""Changing single values of a rig.yaml, with every other character as the person wrote it.
+
+ruamel.yaml's composer says where in the text every value stands; numbers are replaced in their places, so comments,
+order, indentation and the style of all other numbers survive, also where a dump would lay them out anew.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from asterism.protocol.errors import InputError
+
+Value = str | float | Sequence["Value"] | Mapping[str, "Value"]
+
+
+def rewrite(text: str, changes: Mapping[tuple[str, ...], Value], name: str) -> str:
+    """The YAML ``text`` with the values at the paths changed: ``{("robots", "alpha", "leds"): [[x, y, z], ...]}``.
+
+    Where a list or mapping has the shape of what stands there, its scalars are replaced one by one, comments between
+    them stay. A key that is not there is added to its mapping, with the mappings above it. Numbers are written as they
+    are given (round them first). ``name`` is what sentences call the file. Raises InputError where a value is shared
+    by an anchor, since changing it would change another's.
+    """
+    edits: list[tuple[int, int, str]] = []
+    root = _compose(text)
+    shared = _shared(root)
+    for path, value in changes.items():
+        _change(text, root, path, value, edits, shared, name)
+    for start, end, new in sorted(edits, reverse=True):
+        text = text[:start] + new + text[end:]
+    return text
+
+
+def relocate(text: str, old: Path, new: Path) -> str:
+    """The rig's ``text``, written at ``old``, for the place ``new``: relative paths (`camera`, every robot's
+    `led.offset`) lead to the same files.
+    """
+    before, after = old.resolve().parent, new.resolve().parent
+    if before == after:
+        return text
+    root = _compose(text)
+    changes: dict[tuple[str, ...], Value] = {}
+    paths = [("camera",), *(("robots", robot, "led", "offset") for robot in _keys(root, ("robots",)))]
+    for path in paths:
+        node = _find(root, path)
+        if node is not None and isinstance(node.value, str) and not Path(node.value).is_absolute():
+            changes[path] = Path(os.path.relpath(before / node.value, after)).as_posix()
+    return rewrite(text, changes, str(old))
+
+
+def _compose(text: str) -> Any:
+    from ruamel.yaml import YAML
+
+    return YAML(typ="safe", pure=True).compose(text)
+
+
+def _is_mapping(node: Any) -> bool:
+    return node is not None and node.id == "mapping"
+
+
+def _find(node: Any, path: tuple[str, ...]) -> Any:
+    """The node at a path, or None."""
+    for key in path:
+        if not _is_mapping(node):
+            return None
+        node = next((value for name, value in node.value if name.value == key), None)
+    return node
+
+
+def _keys(root: Any, path: tuple[str, ...]) -> list[str]:
+    node = _find(root, path)
+    return [key.value for key, _ in node.value] if _is_mapping(node) else []
+
+
+def _shared(root: Any) -> set[int]:
+    """The nodes that stand in more than one place, by anchor and alias."""
+    seen: set[int] = set()
+    twice: set[int] = set()
+
+    def visit(node: Any) -> None:
+        if id(node) in seen:
+            twice.add(id(node))
+            return
+        seen.add(id(node))
+        if node.id == "mapping":
+            for _, value in node.value:
+                visit(value)
+        elif node.id == "sequence":
+            for value in node.value:
+                visit(value)
+
+    visit(root)
+    return twice
+
+
+def _change(
+    text: str,
+    root: Any,
+    path: tuple[str, ...],
+    value: Value,
+    edits: list[tuple[int, int, str]],
+    shared: set[int],
+    name: str,
+) -> None:
+    node = root
+    for depth, key in enumerate(path):
+        if id(node) in shared:
+            raise _anchored(name, path[:depth])
+        below = _find(node, (key,))
+        if below is None:
+            for missing in reversed(path[depth + 1 :]):
+                value = {missing: value}
+            edits.append(_inserted(text, node, key, value))
+            return
+        node = below
+    _replace(node, value, path, edits, shared, name)
+
+
+def _replace(
+    node: Any,
+    value: Value,
+    path: tuple[str, ...],
+    edits: list[tuple[int, int, str]],
+    shared: set[int],
+    name: str,
+) -> None:
+    if id(node) in shared:
+        raise _anchored(name, path)
+    if isinstance(value, Mapping) and node.id == "mapping" and {key.value for key, _ in node.value} == set(value):
+        for key, below in node.value:
+            _replace(below, value[key.value], (*path, key.value), edits, shared, name)
+    elif _is_list(value) and node.id == "sequence" and len(node.value) == len(value):
+        for item, below in zip(value, node.value, strict=True):
+            _replace(below, item, path, edits, shared, name)
+    else:
+        end = node.end_mark.index
+        if node.id != "scalar" and not node.flow_style:
+            raise AssertionError(f"{'.'.join(path)}: a block of another shape is never replaced by a calibration")
+        edits.append((node.start_mark.index, end, _flow(value)))
+
+
+def _inserted(text: str, mapping: Any, key: str, value: Value) -> tuple[int, int, str]:
+    """The edit that adds a key to a mapping: behind the last entry that ends on its own line, else as the first."""
+    entry = f"{_scalar(key)}: {_flow(value)}"
+    if mapping.flow_style:
+        last = mapping.end_mark.index - 1
+        return last, last, f", {entry}" if mapping.value else entry
+    first = mapping.value[0][0]
+    indent = " " * first.start_mark.column
+    for _, below in reversed(mapping.value):
+        if below.id == "scalar" or below.flow_style:
+            end = text.find("\n", below.end_mark.index)
+            if end < 0:
+                return len(text), len(text), f"\n{indent}{entry}\n"
+            return end + 1, end + 1, f"{indent}{entry}\n"
+    return first.start_mark.index, first.start_mark.index, f"{entry}\n{indent}"
+
+
+def _anchored(name: str, path: tuple[str, ...]) -> InputError:
+    return InputError(
+        f"{name}: {'.'.join(path)}: is shared by an anchor (&, *), expected values of its own that can be changed"
+    )
+
+
+def _is_list(value: object) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, str)
+
+
+def _flow(value: Any) -> str:
+    """A value in YAML's flow style."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_scalar(key)}: {_flow(below)}" for key, below in value.items()) + "}"
+    if _is_list(value):
+        return "[" + ", ".join(_flow(item) for item in value) + "]"
+    return _scalar(value) if isinstance(value, str) else repr(float(value))
+
+
+def _scalar(text: str) -> str:
+    """A text as a YAML scalar, quoted where it needs it."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        plain = YAML(typ="safe", pure=True).load(f"[{text}]") == [text] and "\n" not in text
+    except YAMLError:
+        plain = False
+    return text if plain else "'" + text.replace("'", "''") + "'"
