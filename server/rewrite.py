@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from asterism.protocol.errors import InputError
 
 Value = str | float | Sequence["Value"] | Mapping[str, "Value"]
@@ -173,7 +175,9 @@ def _flow(value: Any) -> str:
         return "{" + ", ".join(f"{_scalar(key)}: {_flow(below)}" for key, below in value.items()) + "}"
     if _is_list(value):
         return "[" + ", ".join(_flow(item) for item in value) + "]"
-    return _scalar(value) if isinstance(value, str) else repr(float(value))
+    if isinstance(value, str):
+        return _scalar(value)
+    return np.format_float_positional(value, trim="0")
 
 
 def _scalar(text: str) -> str:

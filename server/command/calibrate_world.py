@@ -1,0 +1,162 @@
+"""asterism calibrate world: T_world_camera from robots at surveyed places, or from a board on the floor."""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from asterism.protocol.errors import InputError
+from asterism.protocol.geometry import Floats, Pose
+from asterism.protocol.rig import Rig, load_rig, parse_rig
+from asterism.server.command.progress import progress
+from asterism.server.command.say import say
+from asterism.server.observations import observe
+from asterism.server.result_file import check_result_file, write_result_file
+from asterism.server.rewrite import relocate, rewrite
+from asterism.server.sources import open_source, refuse_endless
+from asterism.server.survey import match_frames, read_survey
+from asterism.server.targets import find_target, parse_target
+from asterism.server.warm_up import warm_up
+from asterism.server.world import WorldFit, fit_world, without_world
+from asterism.server.world_board import View, fit_board
+
+MOST_ROWS = 40
+TURNED_DEG = 5.0  # a survey whose orientations are off by more is probably another frame's
+
+
+def run(options: argparse.Namespace) -> int:
+    """Fit, print the verification samples, write the rig with its `world`."""
+    check_result_file(options.out, options.force)
+    command = "calibrate world"
+    refuse_endless(options.source, command)
+    rig = load_rig(options.rig)
+    T_world_camera, covariance = _from_target(options, rig) if options.target else _from_survey(options, rig)
+    position, orientation = T_world_camera.position.round(7) + 0.0, T_world_camera.orientation.round(9) + 0.0
+    sigmas = np.sqrt(np.diag(covariance))
+    print(
+        f"camera in the world: {_row(1e3 * position, 3)} mm, +- {_row(1e3 * sigmas[:3], 3)} mm, "
+        f"+- {_row(np.degrees(sigmas[3:]), 3)} degrees"
+    )
+    world = {"position": position.tolist(), "orientation": orientation.tolist()}
+    text = relocate(rewrite(rig.rig_text, {("world",): world}, options.rig), Path(options.rig), options.out)
+    parse_rig(text, rig.camera_text, str(options.out))
+    kept = write_result_file(options.out, text, options.force)
+    print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else ""))
+    return 0
+
+
+def _from_survey(options: argparse.Namespace, rig: Rig) -> tuple[Pose, Floats]:
+    survey = read_survey(options.truth, [robot.id for robot in rig.robots], orientations=False)
+    rig = without_world(rig)
+    source = open_source(options.source, rig, say)
+    warm_up()
+    seen = [
+        (frame.name, sightings)
+        for frame, sightings in progress(observe(source.frames(), rig), source.length, "localizing")
+    ]
+    matched = match_frames(survey, [name for name, _ in seen], source.name)
+    for remark in matched.remarks:
+        say(remark)
+    pairs, missing = [], 0
+    for name, sightings in seen:
+        line = matched.frames.get(name)
+        if line is None:
+            continue
+        here = [(s, line.robots[s.robot]) for s in sightings if s.robot in line.robots]
+        missing += len(line.robots) - len(here)
+        pairs += here
+    if missing:
+        say(f"{missing} surveyed poses belong to robots that were not located in their frame; left out")
+    fit = fit_world(pairs)
+    _tell(fit)
+    axes = [fit.T_world_camera.rotation @ s.pose.rotation @ rig.robot(s.robot).axis for s, _ in pairs]
+    if np.median([axis[2] for axis in axes]) < 0.0:
+        say(
+            "warning: the robots' LEDs shine downwards in this world (z is to point up); are x and y of the survey "
+            "swapped, or a sign?"
+        )
+    if fit.survey_sigma_rad > np.radians(TURNED_DEG):
+        say(
+            f"warning: the surveyed orientations differ from those seen by {np.degrees(fit.survey_sigma_rad):.0f} "
+            "degrees (one sigma); are they T_world_robot, x y z w?"
+        )
+    return fit.T_world_camera, fit.covariance
+
+
+def _tell(fit: WorldFit) -> None:
+    """The verification samples with their residuals."""
+    console = _console()
+    table = Table(box=None, header_style="bold", padding=(0, 1))
+    for name in ("sample", "x mm", "y mm", "z mm", "rotation deg", "held out: x mm", "y mm", "z mm", ""):
+        table.add_column(name, justify="left" if name in ("sample", "") else "right", no_wrap=True)
+    order = np.arange(len(fit.samples))
+    if len(order) > MOST_ROWS:
+        size = np.where(np.isnan(fit.held_out_m), fit.residuals_m, fit.held_out_m)
+        order = np.sort(np.argsort(-np.linalg.norm(size, axis=1))[:MOST_ROWS])
+        console.print(f"the {MOST_ROWS} of {len(fit.samples)} samples with the largest residuals:", highlight=False)
+    for k in order:
+        turned = float(np.degrees(np.linalg.norm(fit.residuals_rad[k])))
+        table.add_row(
+            fit.samples[k].name,
+            *(f"{1e3 * value:.3f}" for value in fit.residuals_m[k]),
+            "-" if np.isnan(turned) else f"{turned:.3f}",
+            *("-" if np.isnan(value) else f"{1e3 * value:.3f}" for value in fit.held_out_m[k]),
+            "" if fit.used[k] else "left out",
+        )
+    console.print(table)
+    used, held_out = fit.residuals_m[fit.used], fit.held_out_m[fit.used]
+    held_out = held_out[np.isfinite(held_out[:, 0])]
+    console.print(
+        f"{fit.used.sum()} samples, {(~fit.used).sum()} left out; residuals (RMS, x y z): {_rms(used)} mm; each held out "
+        f"and predicted from the others: {_rms(held_out) if len(held_out) else 'the others do not suffice'}"
+        + (" mm" if len(held_out) else "")
+        + f"; the survey itself seems to be off by {1e3 * fit.survey_sigma_m:.3f} mm",
+        highlight=False,
+    )
+
+
+def _from_target(options: argparse.Namespace, rig: Rig) -> tuple[Pose, Floats]:
+    target = parse_target(options.target)
+    source = open_source(options.source, rig, say)
+    warm_up()
+    views, count = [], 0
+    for frame in progress(source.frames(), source.length, "looking for the target"):
+        count += 1
+        found = find_target(frame.image, target)
+        if found is not None:
+            views.append(View(frame.name, *found))
+    if not views:
+        raise InputError(
+            f"{options.source}: the target {options.target} is in none of its {count} frames, expected it whole in one "
+            "at least; are columns and rows those of inner corners?"
+        )
+    fit = fit_board(views, rig.camera)
+    console = _console()
+    table = Table(box=None, header_style="bold", padding=(0, 1))
+    for name in ("frame", "residual px", "held out px"):
+        table.add_column(name, justify="left" if name == "frame" else "right", no_wrap=True)
+    for view, rms, held_out in list(zip(views, fit.rms_px, fit.held_out_px, strict=True))[:MOST_ROWS]:
+        table.add_row(view.frame, f"{rms:.3f}", "-" if np.isnan(held_out) else f"{held_out:.3f}")
+    console.print(table)
+    x, y = views[0].pixels[0]
+    console.print(
+        f"the target is in {len(views)} of {count} frames; the world's origin is its first point, at ({x:.0f}, {y:.0f}) "
+        f"in frame {views[0].frame}, x runs along its first row, z points up from it, to the camera",
+        highlight=False,
+    )
+    return fit.T_world_camera, fit.covariance
+
+
+def _console() -> Console:
+    console = Console()
+    return console if console.is_terminal else Console(width=160)
+
+
+def _row(values: Floats, digits: int) -> str:
+    return " ".join(f"{value:.{digits}f}" for value in values)
+
+
+def _rms(values: Floats) -> str:
+    return _row(1e3 * np.sqrt((values**2).mean(axis=0)), 3)
