@@ -42,7 +42,7 @@ class Views:
     def __len__(self) -> int:
         return len(self.rays)
 
-    def __getitem__(self, rows: NDArray[np.generic]) -> "Views":
+    def __getitem__(self, rows: Bools) -> "Views":
         return Views(self.rays[rows], self.information[rows], self.rotations[rows], self.ts[rows])
 
     @property
@@ -57,8 +57,8 @@ class Adjusted:
     """What a bundle adjustment found.
 
     ``leds`` (6, 3) m in the robot's frame, ``covariance`` (18, 18) m^2 of them row by row, scaled by
-    ``chi2_per_dof``, given frame and scale; ``views`` with the poses found and only the centres that agree; ``left_out``
-    counts the other centres.
+    ``chi2_per_dof``, given frame and scale; ``views`` with the poses found and only the centres that agree;
+    ``left_out`` counts the others.
     """
 
     leds: Floats
@@ -100,7 +100,7 @@ def adjust(given: Floats, start: Floats, views: Views, distance: tuple[int, int,
     good = _agreeing(leds, views, disc)
     left_out = int(views.seen.sum() - good.sum())
     views = Views(views.rays, views.information * good[:, :, None, None], views.rotations, views.ts)
-    views = views[good.any(axis=1)]
+    views = views[np.asarray(good.any(axis=1))]
     leds, views = _descend(leds, views, disc, robust=False)
     leds, views = _in_gauge(leds, views, given, distance)
     residuals, by_pose, by_led = linearise(leds, views, disc)
@@ -203,13 +203,13 @@ def _squared(leds: Floats, views: Views, disc: Disc) -> Floats:
 
 
 def _cost(squared: Floats, scale: float | None) -> float:
-    return float(squared.sum() if scale is None else scale * np.log1p(squared / scale).sum())
+    return float(np.sum(squared) if scale is None else scale * np.sum(np.log1p(squared / scale)))
 
 
 def _scale2(squared: Floats, seen: Bools) -> float:
     """Squared scale of the residuals, from their median; six of the two numbers a centre gives go into each pose."""
     freedom = (2.0 * seen.sum() - 6.0 * len(seen)) / (2.0 * seen.sum())
-    return max(float(np.median(squared[seen])) / MEDIAN_CHI2 / max(freedom, 0.1), 1e-12)
+    return max(float(np.median(squared[seen])) / MEDIAN_CHI2 / max(float(freedom), 0.1), 1e-12)
 
 
 def _agreeing(leds: Floats, views: Views, disc: Disc) -> Bools:

@@ -129,8 +129,8 @@ def check_distance(robot: Robot, distance: tuple[int, int, float]) -> None:
     if abs(metres - known) > LENGTH_OFF[0] + LENGTH_OFF[1] * known:
         mm = "; is that mm?" if abs(metres / 1e3 - known) < LENGTH_OFF[0] + LENGTH_OFF[1] * known else ""
         raise InputError(
-            f"--distance {first},{second}={metres:g}: the rig has LEDs {first} and {second} of {robot.id} {known:.4f} m "
-            f"apart, expected a distance within a few mm of that{mm or '; LEDs count from 0'}"
+            f"--distance {first},{second}={metres:g}: the rig has LEDs {first} and {second} of {robot.id} {known:.4f} "
+            f"m apart, expected a distance within a few mm of that{mm or '; LEDs count from 0'}"
         )
 
 
@@ -141,8 +141,8 @@ def check_result(robot: Robot, adjusted: Adjusted, distance: tuple[int, int, flo
     if sigmas[worst].max() > OPEN_M:
         raise InputError(
             f"the film: it leaves LED {worst} of {robot.id} open by {sigmas[worst].max() * 1e3:.2g} mm (one sigma), "
-            f"expected at most {OPEN_M * 1e3:g} mm; more frames, nearer to the camera, tilted by 20 degrees and more in "
-            "all directions"
+            f"expected at most {OPEN_M * 1e3:g} mm; more frames, nearer to the camera, tilted by 20 degrees and more "
+            "in all directions"
         )
     scale = size_of(adjusted.leds) / size_of(robot.leds)
     if abs(scale - 1.0) > SCALE_OFF:

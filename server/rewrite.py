@@ -7,7 +7,7 @@ order, indentation and the style of all other numbers survive, also where a dump
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -165,7 +165,7 @@ def _anchored(name: str, path: tuple[str, ...]) -> InputError:
     )
 
 
-def _is_list(value: object) -> bool:
+def _is_list(value: object) -> TypeGuard[Sequence[Value]]:
     return isinstance(value, Sequence) and not isinstance(value, str)
 
 

@@ -67,9 +67,7 @@ def read_survey(path: Path, robots: Collection[str], orientations: bool = True) 
     except IsADirectoryError:
         raise InputError(f"{path}: is a folder, expected a file of JSON lines as asterism locate writes them") from None
     except UnicodeDecodeError:
-        raise InputError(
-            f"{path}: is no text in UTF-8, expected JSON lines as asterism locate writes them"
-        ) from None
+        raise InputError(f"{path}: is no text in UTF-8, expected JSON lines as asterism locate writes them") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     frames: list[SurveyedFrame] = []
@@ -97,9 +95,7 @@ def _frame(line: str, where: str, number: int, robots: Collection[str], orientat
             f"{where}: is no JSON ({error}), expected one JSON object a line as asterism locate writes them"
         ) from None
     if not isinstance(values, dict):
-        raise InputError(
-            f"{where}: {describe(values)}, expected one JSON object a line as asterism locate writes them"
-        )
+        raise InputError(f"{where}: {describe(values)}, expected one JSON object a line as asterism locate writes them")
     section = Section(values, where, "")
     section.only(_LINE_KEYS)
     name = section.text("frame")
@@ -121,9 +117,7 @@ def _frame(line: str, where: str, number: int, robots: Collection[str], orientat
             orientation = np.array(part.numbers("orientation", 4, "the quaternion x, y, z, w"))
             length = float(np.linalg.norm(orientation))
             if abs(length - 1.0) > 1e-3:
-                raise part.error(
-                    "orientation", f"a quaternion of length {length:g}, expected x, y, z, w of length 1"
-                )
+                raise part.error("orientation", f"a quaternion of length {length:g}, expected x, y, z, w of length 1")
         found[robot] = SurveyedPose(robot, position, orientation)
     return SurveyedFrame(name, number, found)
 

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
 from asterism.protocol.errors import InputError
-from asterism.protocol.geometry import Floats, Pose, angle_between, exp_rotation, log_rotation
+from asterism.protocol.geometry import Floats, Pose, angle_between, exp_rotation, log_rotation, matrix_from_quat
 from asterism.protocol.rig import Rig
 from asterism.server.bundle import rigid_fit
 from asterism.server.observations import Sighting
@@ -24,25 +25,33 @@ FEWEST_POINTS = 3
 NARROWEST = 0.05  # of the points' spread along their line: how far they must spread across it
 ENOUGH_TO_DOUBT = 6  # points, from which one that is far off can be told
 FAR_OFF = 5.0  # sigmas
-SAME_PLACE_M = 1e-6
+PLACE_DECIMALS = 6  # places that agree to a micrometre are one
 MOST_TRIPLES = 300
 SCALE_OFF = 0.05
 MEDIAN_CHI2 = 2.366  # of three degrees of freedom
-ITERATIONS = 20
+ITERATIONS = 30
+POSITION, ROTATION = slice(0, 3), slice(3, 6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
     """A robot at a surveyed place: ``seen`` is T_camera_robot with ``covariance`` (6, 6), m and rad about the camera's
-    axes, from ``frames`` frames; ``position`` (3,) m and ``orientation`` (a Pose's, or None) are T_world_robot.
+    axes, from ``frames`` frames, the first of which is ``frame``. ``position`` (3,) m and ``orientation`` (x y z w or
+    None) are T_world_robot.
     """
 
-    name: str
+    robot: str
+    frame: str
     frames: int
     seen: Pose
     covariance: Floats
     position: Floats
     orientation: Floats | None
+
+    @property
+    def name(self) -> str:
+        """What people call it."""
+        return f"{self.robot} in " + (self.frame if self.frames == 1 else f"{self.frames} frames from {self.frame}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,48 +87,57 @@ def fit_world(pairs: Sequence[tuple[Sighting, SurveyedPose]]) -> WorldFit:
     Raises InputError for too few places, places on one line, or places that cannot be those of the robots seen.
     """
     places = np.array([surveyed.position for _, surveyed in pairs]).reshape(-1, 3)
-    _check_spread(_distinct(places), "surveyed")
+    _check_spread(np.unique(places.round(PLACE_DECIMALS), axis=0), "surveyed")
     seen = np.array([sighting.pose.position for sighting, _ in pairs])
-    start = _rough(seen, places)
     _check_scale(seen, places)
+    start = _rough(seen, places)
     samples = _merged([_likelier_tilt(sighting, surveyed, start) for sighting, surveyed in pairs])
-    n = len(samples)
-    T, (sigma_m, sigma_rad) = _refined(samples, np.ones(n), start, robust=True)
+    table, n = _Table.of(samples), len(samples)
+    T, sigmas = _refined(table, start, robust=True)
     used = np.ones(n, np.bool_)
     if n >= ENOUGH_TO_DOUBT:
-        used = _sigmas_off(samples, T, sigma_m, sigma_rad) < FAR_OFF
-    good = [sample for sample, keep in zip(samples, used, strict=True) if keep]
-    if 2 * len(good) <= n:
-        raise InputError(f"the surveyed places: no more than {len(good)} of {n} agree with what the camera sees")
-    _check_spread(np.array([sample.position for sample in good]), "surveyed (those that agree)")
-    T, (sigma_m, sigma_rad) = _refined(good, np.ones(len(good)), T, robust=False)
-    held_out = np.full((n, 3), np.nan)
-    for k, sample in enumerate(samples):
-        others = [other for other, keep in zip(samples, used, strict=True) if keep and other is not sample]
-        if _determined(others):
-            alone = _solved(others, np.ones(len(others)), T, sigma_m, sigma_rad)[0] if used[k] else T
-            held_out[k] = _off(sample, alone)[0]
-    residuals = [_off(sample, T) for sample in samples]
-    covariance = _solved(good, np.ones(len(good)), T, sigma_m, sigma_rad)[1]
-    return WorldFit(
-        T,
-        covariance,
-        tuple(samples),
-        np.array([position for position, _ in residuals]),
-        np.array([rotation for _, rotation in residuals]),
-        held_out,
-        used,
-        sigma_m,
-        sigma_rad,
-    )
+        used = _sigmas_off(table, T, sigmas) < FAR_OFF
+    if 2 * used.sum() <= n:
+        raise InputError(f"the surveyed places: no more than {used.sum()} of {n} agree with what the camera sees")
+    _check_spread(table.positions[used], "surveyed (those that agree)")
+    T, sigmas = _refined(table[used], T, robust=False)
+    held_out, covariance = _held_out(table, used, T, sigmas)
+    off = _off(table, T)
+    turned = np.where(table.oriented[:, None], off[:, 3:], np.nan)
+    return WorldFit(T, covariance, tuple(samples), off[:, :3], turned, held_out, used, *sigmas)
 
 
-def _distinct(places: Floats) -> Floats:
-    kept: list[Floats] = []
-    for place in places:
-        if all(np.linalg.norm(place - other) > SAME_PLACE_M for other in kept):
-            kept.append(place)
-    return np.array(kept).reshape(-1, 3)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Table:
+    """Samples as arrays: seen (n, 3), (n, 3, 3), (n, 6, 6); surveyed (n, 3), (n, 3, 3); whether the latter was (n,)."""
+
+    seen: Floats
+    seen_rotations: Floats
+    covariances: Floats
+    positions: Floats
+    rotations: Floats
+    oriented: NDArray[np.bool_]
+
+    @staticmethod
+    def of(samples: Sequence[Sample]) -> "_Table":
+        return _Table(
+            np.array([s.seen.position for s in samples]),
+            np.array([s.seen.rotation for s in samples]),
+            np.array([s.covariance for s in samples]),
+            np.array([s.position for s in samples]),
+            np.array([np.eye(3) if s.orientation is None else matrix_from_quat(s.orientation) for s in samples]),
+            np.array([s.orientation is not None for s in samples]),
+        )
+
+    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> "_Table":
+        return _Table(
+            self.seen[rows],
+            self.seen_rotations[rows],
+            self.covariances[rows],
+            self.positions[rows],
+            self.rotations[rows],
+            self.oriented[rows],
+        )
 
 
 def _spread(places: Floats) -> tuple[float, float]:
@@ -141,11 +159,11 @@ def _check_spread(places: Floats, what: str) -> None:
         )
 
 
-def _determined(samples: list[Sample]) -> bool:
-    """Whether the samples alone determine the camera's pose."""
-    if len(samples) < FEWEST_POINTS:
+def _determined(places: Floats) -> bool:
+    """Whether robots at these places alone determine the camera's pose."""
+    if len(places) < FEWEST_POINTS:
         return False
-    along, across = _spread(np.array([sample.position for sample in samples]))
+    along, across = _spread(places)
     return across >= NARROWEST * along
 
 
@@ -159,8 +177,8 @@ def _check_scale(seen: Floats, places: Floats) -> None:
     if abs(scale - 1.0) > SCALE_OFF:
         hint = "; are the surveyed positions in mm?" if abs(scale / 1e3 - 1.0) < SCALE_OFF else ""
         raise InputError(
-            f"the surveyed places: they are {scale:.3g} times as far apart as the robots that the camera sees, expected "
-            f"positions in m of the same robots{hint}"
+            f"the surveyed places: they are {scale:.3g} times as far apart as the robots that the camera sees, "
+            f"expected positions in m of the same robots{hint}"
         )
 
 
@@ -194,29 +212,17 @@ def _likelier_tilt(sighting: Sighting, surveyed: SurveyedPose, T_world_camera: P
         there = T_world_camera.inverse().rotation @ surveyed.pose.rotation
         if angle_between(sighting.alternative.rotation, there) < angle_between(pose.rotation, there):
             pose = sighting.alternative
-    name = f"{sighting.robot} in {sighting.frame}"
-    return Sample(name, 1, pose, sighting.covariance, surveyed.position, surveyed.orientation)
+    return Sample(sighting.robot, sighting.frame, 1, pose, sighting.covariance, surveyed.position, surveyed.orientation)
 
 
 def _merged(samples: list[Sample]) -> list[Sample]:
     """Samples of one surveyed place made one: further frames of it measure the camera's noise, not the survey's."""
-    groups: list[list[Sample]] = []
+    groups: dict[tuple[object, ...], list[Sample]] = {}
     for sample in samples:
-        for group in groups:
-            if _same_place(sample, group[0]):
-                group.append(sample)
-                break
-        else:
-            groups.append([sample])
-    return [_mean(group) for group in groups]
-
-
-def _same_place(a: Sample, b: Sample) -> bool:
-    if np.linalg.norm(a.position - b.position) > SAME_PLACE_M or a.name.split(" in ")[0] != b.name.split(" in ")[0]:
-        return False
-    if a.orientation is None or b.orientation is None:
-        return a.orientation is b.orientation
-    return bool(np.abs(a.orientation - b.orientation).max() < 1e-9)
+        turned = None if sample.orientation is None else tuple(sample.orientation.round(9).tolist())
+        place = tuple(sample.position.round(PLACE_DECIMALS).tolist())
+        groups.setdefault((sample.robot, place, turned), []).append(sample)
+    return [_mean(group) for group in groups.values()]
 
 
 def _mean(group: list[Sample]) -> Sample:
@@ -230,99 +236,115 @@ def _mean(group: list[Sample]) -> Sample:
         turned = log_rotation(sample.seen.rotation @ first.seen.rotation.T)
         total += information
         right += information @ np.concatenate([sample.seen.position - first.seen.position, turned])
-    covariance = np.linalg.inv(total)
+    covariance = np.linalg.inv(total).astype(np.float64)
     move = covariance @ right
     seen = Pose.from_matrix(exp_rotation(move[3:]) @ first.seen.rotation, first.seen.position + move[:3])
-    robot, _, frame = first.name.partition(" in ")
-    name = f"{robot} in {len(group)} frames from {frame}"
-    return Sample(name, len(group), seen, covariance, first.position, first.orientation)
+    return replace(first, frames=len(group), seen=seen, covariance=covariance)
 
 
-def _off(sample: Sample, T_world_camera: Pose) -> tuple[Floats, Floats]:
-    """Surveyed minus predicted: position (3,) m and rotation vector (3,) about the world's axes, nan without one."""
-    predicted = T_world_camera @ sample.seen
-    if sample.orientation is None:
-        return sample.position - predicted.position, np.full(3, np.nan)
-    surveyed = Pose(sample.position, sample.orientation)
-    return sample.position - predicted.position, log_rotation(surveyed.rotation @ predicted.rotation.T)
+def _off(table: _Table, T_world_camera: Pose) -> Floats:
+    """Surveyed minus predicted (n, 6): position, m, and rotation vector about the world's axes, 0 without one."""
+    turn = T_world_camera.rotation
+    away = table.positions - (table.seen @ turn.T + T_world_camera.position)
+    apart = table.rotations @ np.swapaxes(turn @ table.seen_rotations, 1, 2)
+    turned = Rotation.from_matrix(apart).as_rotvec() * table.oriented[:, None]
+    return np.hstack([away, turned])
 
 
-def _spreads(sample: Sample, T_world_camera: Pose) -> Floats:
-    """The seen pose's covariance (6, 6) about the world's axes."""
+def _spreads(table: _Table, T_world_camera: Pose, sigmas: tuple[float, float]) -> Floats:
+    """Covariances (n, 6, 6) of what `_off` says: those of the seen poses, about the world's axes, and the survey's."""
     turn = np.kron(np.eye(2), T_world_camera.rotation)
-    turned: Floats = turn @ sample.covariance @ turn.T
-    return turned
+    survey = np.diag([sigmas[0] ** 2] * 3 + [sigmas[1] ** 2] * 3)
+    spreads: Floats = turn @ table.covariances @ turn.T + survey
+    return spreads
 
 
-def _sigmas_off(samples: list[Sample], T: Pose, sigma_m: float, sigma_rad: float) -> Floats:
+def _sigmas_off(table: _Table, T: Pose, sigmas: tuple[float, float]) -> Floats:
     """How far off every sample is (n,), the larger of position and rotation, sigmas."""
-    sigmas = []
-    for sample in samples:
-        spread, (position, rotation) = _spreads(sample, T), _off(sample, T)
-        off = position @ np.linalg.solve(spread[:3, :3] + sigma_m**2 * np.eye(3), position)
-        if sample.orientation is not None:
-            off = max(off, rotation @ np.linalg.solve(spread[3:, 3:] + sigma_rad**2 * np.eye(3), rotation))
-        sigmas.append(np.sqrt(off))
-    return np.array(sigmas)
+    off, spreads = _off(table, T), _spreads(table, T, sigmas)
+    squared = [
+        (off[:, part] * np.linalg.solve(spreads[:, part, part], off[:, part, None])[..., 0]).sum(axis=1)
+        for part in (POSITION, ROTATION)
+    ]
+    larger: Floats = np.sqrt(np.maximum(*squared))
+    return larger
 
 
-def _refined(samples: list[Sample], weights: Floats, T: Pose, robust: bool) -> tuple[Pose, tuple[float, float]]:
-    """The fit with the survey's own variances, which are found together with it; robust: both by medians."""
-    sigma_m = sigma_rad = 0.0
+def _refined(table: _Table, T: Pose, robust: bool) -> tuple[Pose, tuple[float, float]]:
+    """The fit with the survey's own sigmas, m and rad, which are found together with it; robust: by medians."""
+    weights = np.ones(len(table.seen))
+    sigmas = (0.0, 0.0)
     for _ in range(ITERATIONS):
         before = T
-        sigma_m = _survey_sigma(samples, T, slice(0, 3), robust)
-        sigma_rad = _survey_sigma(samples, T, slice(3, 6), robust)
+        sigmas = (_survey_sigma(table, T, POSITION, robust), _survey_sigma(table, T, ROTATION, robust))
         if robust:
-            weights = 1.0 / (1.0 + (_sigmas_off(samples, T, sigma_m, sigma_rad) / 3.0) ** 2)
-        T, _ = _solved(samples, weights, T, sigma_m, sigma_rad)
-        moved = np.linalg.norm(T.position - before.position) + angle_between(T.rotation, before.rotation)
-        if moved < 1e-12:
+            weights = 1.0 / (1.0 + (_sigmas_off(table, T, sigmas) / 3.0) ** 2)
+        normals, rights = _normal_equations(table, T, sigmas)
+        move = np.linalg.solve((weights[:, None, None] * normals).sum(axis=0), weights @ rights)
+        T = _moved(T, move)
+        if np.linalg.norm(T.position - before.position) + np.linalg.norm(move[3:]) < 1e-12:
             break
-    return T, (sigma_m, sigma_rad)
+    return T, sigmas
 
 
-def _solved(
-    samples: list[Sample], weights: Floats, T: Pose, sigma_m: float, sigma_rad: float
-) -> tuple[Pose, Floats]:
-    """Gauss-Newton on the camera's pose, six numbers (shift, rotation about the world's axes), and its covariance."""
-    extra = np.diag([sigma_m**2] * 3 + [sigma_rad**2] * 3)
-    inverse = np.eye(6)
-    for _ in range(5):
-        normal, right = np.zeros((6, 6)), np.zeros(6)
-        for sample, weight in zip(samples, weights, strict=True):
-            x, y, z = T.rotation @ sample.seen.position
-            by_pose = np.eye(6)
-            by_pose[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
-            spread, off = _spreads(sample, T) + extra, np.concatenate(_off(sample, T))
-            rows = 3 if sample.orientation is None else 6
-            weighted = weight * by_pose[:rows].T @ np.linalg.inv(spread[:rows, :rows])
-            normal += weighted @ by_pose[:rows]
-            right += weighted @ off[:rows]
-        inverse = np.linalg.inv(normal)
-        move = inverse @ right
-        T = Pose.from_matrix(exp_rotation(move[3:]) @ T.rotation, T.position + move[:3])
-    return T, inverse
+def _moved(T: Pose, move: Floats) -> Pose:
+    return Pose.from_matrix(exp_rotation(move[3:]) @ T.rotation, T.position + move[:3])
 
 
-def _survey_sigma(samples: list[Sample], T: Pose, part: slice, robust: bool) -> float:
+def _normal_equations(table: _Table, T: Pose, sigmas: tuple[float, float]) -> tuple[Floats, Floats]:
+    """Every sample's share (n, 6, 6) and (n, 6) of the normal equations for the camera's shift and rotation about the
+    world's axes.
+    """
+    x, y, z = (table.seen @ T.rotation.T).T
+    by_pose = np.tile(np.eye(6), (len(x), 1, 1))
+    zero = np.zeros(len(x))
+    by_pose[:, :3, 3:] = np.moveaxis(np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]]), 2, 0)
+    spreads = _spreads(table, T, sigmas)
+    information = np.linalg.inv(spreads)
+    # Where no orientation was surveyed, the position alone counts.
+    alone = np.zeros_like(spreads)
+    alone[:, :3, :3] = np.linalg.inv(spreads[:, :3, :3])
+    information = np.where(table.oriented[:, None, None], information, alone)
+    weighted = np.swapaxes(by_pose, 1, 2) @ information
+    return weighted @ by_pose, (weighted @ _off(table, T)[..., None])[..., 0]
+
+
+def _held_out(table: _Table, used: NDArray[np.bool_], T: Pose, sigmas: tuple[float, float]) -> tuple[Floats, Floats]:
+    """Positions' residuals (n, 3) of every sample against the fit to the others, and the fit's covariance (6, 6).
+
+    One Gauss-Newton step from the fit to all is the fit to all but one: it moves by far less than the pose bends.
+    """
+    normals, rights = _normal_equations(table, T, sigmas)
+    normal, right = normals[used].sum(axis=0), rights[used].sum(axis=0)
+    held_out = np.full((len(used), 3), np.nan)
+    for k in range(len(used)):
+        others = used.copy()
+        others[k] = False
+        if not _determined(table.positions[others]):
+            continue
+        alone = T
+        if used[k]:
+            alone = _moved(T, np.linalg.solve(normal - normals[k], right - rights[k]))
+        held_out[k] = _off(table[np.array([k])], alone)[0, :3]
+    return held_out, np.linalg.inv(normal)
+
+
+def _survey_sigma(table: _Table, T: Pose, part: slice, robust: bool) -> float:
     """One sigma of the survey's own error, m or rad, such that the residuals are as large as they should be."""
-    which = 0 if part.start == 0 else 1
-    given = [(_off(s, T)[which], _spreads(s, T)[part, part]) for s in samples if which == 0 or s.orientation is not None]
-    if not given:
+    rows = np.ones(len(table.seen), np.bool_) if part == POSITION else table.oriented
+    if not rows.any():
         return 0.0
-    offs, spreads = np.array([off for off, _ in given]), np.array([spread for _, spread in given])
+    off, spreads = _off(table, T)[rows, part], _spreads(table, T, (0.0, 0.0))[rows, part, part]
     # The six numbers of the fit take their share of the positions' residuals.
-    freedom = max(3.0 * len(given) - (6.0 if which == 0 else 0.0), 1.0)
+    numbers = 3.0 * int(rows.sum())
+    freedom = max(numbers - (6.0 if part == POSITION else 0.0), 1.0)
 
     def surplus(sigma: float) -> float:
-        solved = np.linalg.solve(spreads + sigma**2 * np.eye(3), offs[..., None])[..., 0]
-        chi2 = (offs * solved).sum(axis=1)
+        chi2 = (off * np.linalg.solve(spreads + sigma**2 * np.eye(3), off[..., None])[..., 0]).sum(axis=1)
         if robust:
-            return float(np.median(chi2)) / MEDIAN_CHI2 * 3.0 * len(given) / freedom - 1.0
+            return float(np.median(chi2)) / MEDIAN_CHI2 * numbers / freedom - 1.0
         return float(chi2.sum()) / freedom - 1.0
 
-    most = 10.0 * float(np.abs(offs).max())
-    if surplus(0.0) <= 0.0 or most == 0.0:
+    if surplus(0.0) <= 0.0:
         return 0.0
-    return float(brentq(surplus, 0.0, most, xtol=1e-9))
+    return float(brentq(surplus, 0.0, 10.0 * float(np.abs(off).max()), rtol=1e-6))

@@ -18,7 +18,11 @@ def true_leds(rng: np.random.Generator) -> Floats:
 
 
 def seen(
-    rng: np.random.Generator, leds: Floats, count: int = 40, disc: Disc = FLAT, depths_m: tuple[float, float] = (0.8, 1.5)
+    rng: np.random.Generator,
+    leds: Floats,
+    count: int = 40,
+    disc: Disc = FLAT,
+    depths_m: tuple[float, float] = (0.8, 1.5),
 ) -> Views:
     """Noisy views of the LEDs; the poses are true."""
     poses = hand_poses(count, int(rng.integers(1 << 30)), depths_m=depths_m)

@@ -1,4 +1,4 @@
-"""`asterism calibrate leds`: a rendered film through the command, a wrong start, films that do not determine the LEDs."""
+"""`asterism calibrate leds`: a rendered film through the command, a wrong start, films that leave the LEDs open."""
 
 import re
 from dataclasses import replace
@@ -10,8 +10,8 @@ import pytest
 from asterism.protocol.rig import Rig, load_rig
 from asterism.server.__main__ import main
 from asterism.server.bundle import rigid_fit
-from asterism.server.simulate import Look, Scene, Truth
 from asterism.server.frame import Frame
+from asterism.server.simulate import Look, Scene, Truth
 from asterism.server.tolerant import TolerantSearch
 from tests.films import hand_poses, off_by, write_film
 from tests.test_command_line import refused
@@ -34,9 +34,7 @@ def rms_m(rig: Rig, true: Rig) -> float:
     return float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
-def test_a_film_gives_the_positions(
-    film: tuple[Path, Rig], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_film_gives_the_positions(film: tuple[Path, Rig], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, true = film
     out = tmp_path / "rig.yaml"
     arguments = ["leds", str(folder / "rig.yaml"), str(folder / "frames"), "--robot", "alpha"]
@@ -104,7 +102,9 @@ def test_films_without_the_motion_are_refused_with_what_is_missing(
     assert not out.exists()
 
 
-def test_bad_input_gets_one_sentence(film: tuple[Path, Rig], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_gets_one_sentence(
+    film: tuple[Path, Rig], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder, true = film
     rig, frames, out = folder / "rig.yaml", folder / "frames", tmp_path / "out.yaml"
     metres = distance(true).split("=")[1]
@@ -116,9 +116,7 @@ def test_bad_input_gets_one_sentence(film: tuple[Path, Rig], tmp_path: Path, cap
         ("sim", "alpha", distance(true), "sim: has no end; calibrate leds takes"),
         (tmp_path / "none", "alpha", distance(true), "there is no such source"),
     ):
-        told = refused(
-            capsys, "calibrate", "leds", rig, source, "--robot", robot, "--distance", measured, "-o", out
-        )
+        told = refused(capsys, "calibrate", "leds", rig, source, "--robot", robot, "--distance", measured, "-o", out)
         assert words in told
     assert "there is no folder" in refused(
         capsys, "calibrate", "leds", rig, frames, "--robot", "alpha", "--distance", distance(true), "-o", out / "x"

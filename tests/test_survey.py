@@ -62,7 +62,10 @@ def test_orientations_may_be_left_out_where_only_places_count(tmp_path: Path) ->
         ({"frame": "a", "robots": []}, "frame 'a' is in line 1 already, expected once"),
         ({"frame": "b", "robots": [5]}, "robots[0]: 5, expected a mapping"),
         ({"frame": "b", "robots": [], "robot": 1}, "unknown key 'robot'; did you mean 'robots'?"),
-        ({"frame": "b", "robots": [{**GOOD, "id": "alhpa"}]}, "'alhpa' is not in the rig, expected one of alpha, bravo"),
+        (
+            {"frame": "b", "robots": [{**GOOD, "id": "alhpa"}]},
+            "'alhpa' is not in the rig, expected one of alpha, bravo",
+        ),
         ({"frame": "b", "robots": [GOOD, GOOD]}, "robots[1].id: 'alpha' is given twice"),
         ({"frame": "b", "robots": [{**GOOD, "position": [1, 2]}]}, "robots[0].position: 2 values, expected 3 numbers"),
         ({"frame": "b", "robots": [{**GOOD, "position": [1, 2, "3"]}]}, "'3' is among the values, expected 3 numbers"),
@@ -92,7 +95,7 @@ def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
     binary.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="is no text in UTF-8"):
         read(binary)
-    with pytest.raises(InputError, match="line 1: .*expected one JSON object a line"):
+    with pytest.raises(InputError, match=r"line 1: .*expected one JSON object a line"):
         read(shared("samples", "clean", "truth.json"))
 
 

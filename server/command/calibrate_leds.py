@@ -53,8 +53,8 @@ def run(options: argparse.Namespace) -> int:
     off = np.sqrt(np.diag(block @ found.adjusted.covariance @ block.T))
     first, second, metres = options.distance
     print(
-        f"off the plane: determined to {off.max() * 1e3:.4f} mm; scale: from the distance of LEDs {first} and {second}, "
-        f"whose error it shares (0.1 mm there is {0.1e-3 / metres:.2%} of every pose's distance)"
+        f"off the plane: determined to {off.max() * 1e3:.4f} mm; scale: from the distance of LEDs {first} and "
+        f"{second}, whose error it shares (0.1 mm there is {0.1e-3 / metres:.2%} of every pose's distance)"
     )
     print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else ""))
     return 0
@@ -67,8 +67,8 @@ def _tell(found: LedCalibration, moved: np.ndarray, spread: tuple[float, float])
         console = Console(width=160)
     console.print(
         f"{found.complete} of {found.frames} frames show all six LEDs; {len(adjusted.views)} views used, "
-        f"{adjusted.left_out} centres left out; tilt varies by {spread[0]:.0f} and {spread[1]:.0f} degrees (one sigma); "
-        f"residuals {np.sqrt(adjusted.chi2_per_dof):.2f} times the centres' noise",
+        f"{adjusted.left_out} centres left out; tilt varies by {spread[0]:.0f} and {spread[1]:.0f} degrees (one "
+        f"sigma); residuals {np.sqrt(adjusted.chi2_per_dof):.2f} times the centres' noise",
         highlight=False,
     )
     table = Table(box=None, header_style="bold", padding=(0, 1))

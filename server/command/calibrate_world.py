@@ -109,8 +109,8 @@ def _tell(fit: WorldFit) -> None:
     used, held_out = fit.residuals_m[fit.used], fit.held_out_m[fit.used]
     held_out = held_out[np.isfinite(held_out[:, 0])]
     console.print(
-        f"{fit.used.sum()} samples, {(~fit.used).sum()} left out; residuals (RMS, x y z): {_rms(used)} mm; each held out "
-        f"and predicted from the others: {_rms(held_out) if len(held_out) else 'the others do not suffice'}"
+        f"{fit.used.sum()} samples, {(~fit.used).sum()} left out; residuals (RMS, x y z): {_rms(used)} mm; each held "
+        f"out and predicted from the others: {_rms(held_out) if len(held_out) else 'the others do not suffice'}"
         + (" mm" if len(held_out) else "")
         + f"; the survey itself seems to be off by {1e3 * fit.survey_sigma_m:.3f} mm",
         highlight=False,
@@ -142,8 +142,8 @@ def _from_target(options: argparse.Namespace, rig: Rig) -> tuple[Pose, Floats]:
     console.print(table)
     x, y = views[0].pixels[0]
     console.print(
-        f"the target is in {len(views)} of {count} frames; the world's origin is its first point, at ({x:.0f}, {y:.0f}) "
-        f"in frame {views[0].frame}, x runs along its first row, z points up from it, to the camera",
+        f"the target is in {len(views)} of {count} frames; the world's origin is its first point, at ({x:.0f}, "
+        f"{y:.0f}) in frame {views[0].frame}, x runs along its first row, z points up from it, to the camera",
         highlight=False,
     )
     return fit.T_world_camera, fit.covariance
