@@ -23,6 +23,7 @@ CONVERGED = 1e-10  # of the cost, relative
 CAUCHY = 3.0  # sigmas: the residual that the robust loss gives half its weight
 FAR_OFF = 4.5  # sigmas: centres farther off are left out of the last fit
 FEWEST_LEDS = 5  # of a view: with four there is hardly a residual left
+BETTER = 0.99  # of a pose's cost: what another tilt must come down to
 MEDIAN_CHI2 = 1.386  # of two degrees of freedom
 
 Bools = NDArray[np.bool_]
@@ -240,7 +241,8 @@ def _better_tilts(leds: Floats, views: Views, disc: Disc) -> tuple[Views, int]:
     rotations = mirror @ here.rotations @ (np.eye(3) - 2.0 * np.outer(disc.normal, disc.normal))
     other = Views(views.rays, views.information, rotations, centres - rotations @ middle)
     other = _poses_alone(leds, other, disc)
-    better = _squared(leds, other, disc).sum(axis=1) < _squared(leds, here, disc).sum(axis=1) - 1e-9
+    # Both may have come to the same minimum, but for the last digits.
+    better = _squared(leds, other, disc).sum(axis=1) < BETTER * _squared(leds, here, disc).sum(axis=1)
     better &= np.einsum("vi,vi->v", other.rotations @ disc.normal, other.rotations @ middle + other.ts) < 0.0
     rotations = np.where(better[:, None, None], other.rotations, here.rotations)
     ts = np.where(better[:, None], other.ts, here.ts)

@@ -99,11 +99,11 @@ def _solve(views: Sequence[View], camera: Camera) -> Pose:
     if not np.isfinite(rays).all():
         raise InputError("the target: part of it is where the camera's lens model ends, expected it farther inside")
     _, rvec, tvec = cv2.solvePnP(points, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
-    turned = np.ravel(rvec).astype(np.float64)
-    T = Pose.from_matrix(exp_rotation(turned), np.ravel(tvec))
+    T = Pose.from_matrix(exp_rotation(np.array(np.ravel(rvec).tolist())), np.ravel(tvec))
     for _ in range(ITERATIONS):
         by_pose = _jacobian(points, T, camera)
-        move = np.linalg.lstsq(by_pose, (pixels - camera.project(T.map(points))).ravel(), rcond=None)[0]
+        off = (pixels - camera.project(T.map(points))).ravel()
+        move = np.linalg.solve(by_pose.T @ by_pose, by_pose.T @ off)
         T = Pose.from_matrix(exp_rotation(move[3:]) @ T.rotation, T.position + move[:3])
         if np.abs(move).max() < 1e-11:
             break

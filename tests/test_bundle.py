@@ -10,11 +10,12 @@ from tests.helpers import numeric_jacobian, random_rotation
 from tests.rigs import FOCAL_PX, random_layouts
 
 SIGMA_PX = 0.02
+LAYOUT = random_layouts(1, 11)[0]
 FLAT = Disc(np.array([0.0, 0.0, 1.0]), 0.0)
 
 
 def true_leds(rng: np.random.Generator) -> Floats:
-    return np.column_stack([random_layouts(1, 11)[0], 3e-4 * rng.standard_normal(6)])
+    return np.column_stack([LAYOUT, 3e-4 * rng.standard_normal(6)])
 
 
 def seen(
