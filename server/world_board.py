@@ -103,7 +103,7 @@ def _solve(views: Sequence[View], camera: Camera) -> Pose:
     for _ in range(ITERATIONS):
         by_pose = _jacobian(points, T, camera)
         off = (pixels - camera.project(T.map(points))).ravel()
-        move = np.linalg.solve(by_pose.T @ by_pose, by_pose.T @ off)
+        move = np.asarray(np.linalg.solve(by_pose.T @ by_pose, by_pose.T @ off), np.float64)
         T = Pose.from_matrix(exp_rotation(move[3:]) @ T.rotation, T.position + move[:3])
         if np.abs(move).max() < 1e-11:
             break
