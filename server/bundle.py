@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag, null_space
 
 from asterism.protocol.constellation import LEDS
+from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, exp_rotation
 
 ITERATIONS = 60
@@ -89,7 +90,7 @@ def adjust(given: Floats, start: Floats, views: Views, distance: tuple[int, int,
     """Fit positions and poses to the views.
 
     ``given`` (6, 3) m are the positions whose frame is kept, ``start`` (6, 3) m where the fit begins; ``distance`` is
-    (i, j, m) between two LEDs.
+    (i, j, m) between two LEDs. Raises InputError where hardly any view is left whose centres agree.
     """
     leds = start
     leds, views = _descend(leds, views, disc, robust=True)
@@ -102,6 +103,10 @@ def adjust(given: Floats, start: Floats, views: Views, distance: tuple[int, int,
     left_out = int(views.seen.sum() - good.sum())
     views = Views(views.rays, views.information * good[:, :, None, None], views.rotations, views.ts)
     views = views[np.asarray(good.any(axis=1))]
+    if 2 * views.seen.sum() - 6 * len(views) <= 3 * LEDS:
+        raise InputError(
+            "the robot's views do not agree with one another, expected a rigid robot, well seen, moved about"
+        )
     leds, views = _descend(leds, views, disc, robust=False)
     leds, views = _in_gauge(leds, views, given, distance)
     residuals, by_pose, by_led = linearise(leds, views, disc)

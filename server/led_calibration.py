@@ -41,8 +41,10 @@ class LedCalibration:
     complete: int
 
 
-def calibrate_leds(rig: Rig, robot_id: str, frames: Frames, distance: tuple[int, int, float]) -> LedCalibration:
-    """LED positions of a robot from a film; ``distance`` is (i, j, m) between two of its LEDs.
+def calibrate_leds(
+    rig: Rig, robot_id: str, frames: Frames, film: str, distance: tuple[int, int, float]
+) -> LedCalibration:
+    """LED positions of a robot from the film that sentences call ``film``; ``distance`` is (i, j, m) between two LEDs.
 
     Raises InputError where the film does not determine them, with the motion that is missing.
     """
@@ -54,19 +56,20 @@ def calibrate_leds(rig: Rig, robot_id: str, frames: Frames, distance: tuple[int,
         count += 1
         if (found := search.find(frame)) is not None and found[0].count == LEDS:
             seen.append(found)
-    _check_count(robot_id, len(seen), count)
+    _check_count(film, robot_id, len(seen), count)
     views = views_of(rig, _evenly(seen, LEARNED_FROM))
+    check_motion(film, robot, views)
     disc = Disc(robot.T_robot_plane.rotation[:, 2], robot.led_radius or 0.0)
     learned = adjust(robot.leds, robot.leds, views, distance, disc)
-    check_motion(robot, learned.views)
+    check_motion(film, robot, learned.views)
     rough = replace(rig, robots=tuple(replace(r, leds=learned.leds) if r.id == robot_id else r for r in rig.robots))
     sightings = [s for _, found in observe(frames(), rough) for s in found if s.robot == robot_id]
     seen = [(s.centres, s.pose) for s in sightings if s.centres.count >= FEWEST_LEDS]
     complete = sum(centres.count == LEDS for centres, _ in seen)
-    _check_count(robot_id, complete, count)
+    _check_count(film, robot_id, complete, count)
     adjusted = adjust(robot.leds, learned.leds, views_of(rig, _evenly(seen, MOST_VIEWS)), distance, disc)
-    check_motion(robot, adjusted.views)
-    check_result(robot, adjusted, distance)
+    check_motion(film, robot, adjusted.views)
+    check_result(film, robot, adjusted, distance)
     return LedCalibration(adjusted, count, complete)
 
 
@@ -101,22 +104,22 @@ def tilt_spread_deg(robot: Robot, views: Views) -> tuple[float, float]:
     return math.degrees(float(wide)), math.degrees(float(narrow))
 
 
-def check_motion(robot: Robot, views: Views) -> None:
+def check_motion(film: str, robot: Robot, views: Views) -> None:
     """Raise InputError with the motion that is missing where the views do not determine the LEDs."""
     if len(views) < FEWEST_VIEWS:
         raise InputError(
-            f"the film: only {len(views)} of its views of {robot.id} agree with one another, expected at least "
+            f"{film}: only {len(views)} of its views of {robot.id} agree with one another, expected at least "
             f"{FEWEST_VIEWS}; is that robot in it, are the rig's positions within about 1 mm?"
         )
     wide, narrow = tilt_spread_deg(robot, views)
     if wide < NO_AXIS_DEG:
         raise InputError(
-            f"the film: {robot.id} keeps its tilt (it varies by {wide:.1f} degrees, one sigma), which leaves its LEDs "
+            f"{film}: {robot.id} keeps its tilt (it varies by {wide:.1f} degrees, one sigma), which leaves its LEDs "
             "undetermined; rotate it: tilt the robot by 20 degrees and more in at least two directions"
         )
     if narrow < ONE_AXIS_DEG:
         raise InputError(
-            f"the film: {robot.id} is tilted about one axis only (its tilt varies by {wide:.1f} degrees along one "
+            f"{film}: {robot.id} is tilted about one axis only (its tilt varies by {wide:.1f} degrees along one "
             f"direction of the plate and {narrow:.1f} across, one sigma), which leaves its LEDs undetermined; tilt the "
             "robot by 20 degrees and more in at least two directions, or turn it about its normal while it is tilted"
         )
@@ -134,13 +137,13 @@ def check_distance(robot: Robot, distance: tuple[int, int, float]) -> None:
         )
 
 
-def check_result(robot: Robot, adjusted: Adjusted, distance: tuple[int, int, float]) -> None:
+def check_result(film: str, robot: Robot, adjusted: Adjusted, distance: tuple[int, int, float]) -> None:
     """Raise InputError where positions stay open or the scale cannot be."""
     sigmas = adjusted.sigmas
     worst = int(np.argmax(sigmas.max(axis=1)))
     if sigmas[worst].max() > OPEN_M:
         raise InputError(
-            f"the film: it leaves LED {worst} of {robot.id} open by {sigmas[worst].max() * 1e3:.2g} mm (one sigma), "
+            f"{film}: it leaves LED {worst} of {robot.id} open by {sigmas[worst].max() * 1e3:.2g} mm (one sigma), "
             f"expected at most {OPEN_M * 1e3:g} mm; more frames, nearer to the camera, tilted by 20 degrees and more "
             "in all directions"
         )
@@ -164,10 +167,10 @@ def moved_by(leds: Floats, given: Floats) -> Floats:
     return away
 
 
-def _check_count(robot_id: str, complete: int, frames: int) -> None:
+def _check_count(film: str, robot_id: str, complete: int, frames: int) -> None:
     if complete < FEWEST_VIEWS:
         raise InputError(
-            f"the film: {complete} of its {frames} frames show all six LEDs of {robot_id}, expected at least "
+            f"{film}: {complete} of its {frames} frames show all six LEDs of {robot_id}, expected at least "
             f"{FEWEST_VIEWS} such frames; keep its LEDs in view and facing the camera"
         )
 

@@ -27,6 +27,7 @@ ENOUGH_TO_DOUBT = 6  # points, from which one that is far off can be told
 FAR_OFF = 5.0  # sigmas
 PLACE_DECIMALS = 6  # places that agree to a micrometre are one
 MOST_TRIPLES = 300
+MOST_PAIRED = 200
 SCALE_OFF = 0.05
 MEDIAN_CHI2 = 2.366  # of three degrees of freedom
 ITERATIONS = 30
@@ -81,15 +82,15 @@ def without_world(rig: Rig) -> Rig:
     return replace(rig, T_world_camera=None, robots=robots)
 
 
-def fit_world(pairs: Sequence[tuple[Sighting, SurveyedPose]]) -> WorldFit:
-    """Fit T_world_camera to robots seen at surveyed places (T_world_robot).
+def fit_world(pairs: Sequence[tuple[Sighting, SurveyedPose]], survey: str) -> WorldFit:
+    """Fit T_world_camera to robots seen at surveyed places (T_world_robot); ``survey`` is what sentences call them.
 
     Raises InputError for too few places, places on one line, or places that cannot be those of the robots seen.
     """
     places = np.array([surveyed.position for _, surveyed in pairs]).reshape(-1, 3)
-    _check_spread(np.unique(places.round(PLACE_DECIMALS), axis=0), "surveyed")
+    _check_spread(np.unique(places.round(PLACE_DECIMALS), axis=0), survey, "surveyed and seen")
     seen = np.array([sighting.pose.position for sighting, _ in pairs])
-    _check_scale(seen, places)
+    _check_scale(seen, places, survey)
     start = _rough(seen, places)
     samples = _merged([_likelier_tilt(sighting, surveyed, start) for sighting, surveyed in pairs])
     table, n = _Table.of(samples), len(samples)
@@ -98,8 +99,8 @@ def fit_world(pairs: Sequence[tuple[Sighting, SurveyedPose]]) -> WorldFit:
     if n >= ENOUGH_TO_DOUBT:
         used = _sigmas_off(table, T, sigmas) < FAR_OFF
     if 2 * used.sum() <= n:
-        raise InputError(f"the surveyed places: no more than {used.sum()} of {n} agree with what the camera sees")
-    _check_spread(table.positions[used], "surveyed (those that agree)")
+        raise InputError(f"{survey}: no more than {used.sum()} of its {n} places agree with what the camera sees")
+    _check_spread(table.positions[used], survey, "surveyed and seen alike")
     T, sigmas = _refined(table[used], T, robust=False)
     held_out, covariance = _held_out(table, used, T, sigmas)
     off = _off(table, T)
@@ -146,15 +147,15 @@ def _spread(places: Floats) -> tuple[float, float]:
     return float(lengths[0]), float(lengths[1])
 
 
-def _check_spread(places: Floats, what: str) -> None:
+def _check_spread(places: Floats, survey: str, what: str) -> None:
     if len(places) < FEWEST_POINTS:
         raise InputError(
-            f"the places: {len(places)} {what} and seen, expected at least {FEWEST_POINTS} that do not lie on one line"
+            f"{survey}: {len(places)} places are {what}, expected at least {FEWEST_POINTS} that do not lie on one line"
         )
     along, across = _spread(places)
     if across < NARROWEST * along:
         raise InputError(
-            f"the places: the {len(places)} that are {what} and seen lie on one line (collinear: they spread by "
+            f"{survey}: the {len(places)} places that are {what} lie on one line (collinear: they spread by "
             f"{along:.3f} m along it and {across:.4f} m across), expected at least {FEWEST_POINTS} that do not"
         )
 
@@ -167,8 +168,10 @@ def _determined(places: Floats) -> bool:
     return across >= NARROWEST * along
 
 
-def _check_scale(seen: Floats, places: Floats) -> None:
-    """Surveyed distances must be those seen: the median of their ratios, over all pairs that are well apart."""
+def _check_scale(seen: Floats, places: Floats, survey: str) -> None:
+    """Surveyed distances must be those seen: the median of their ratios, over pairs that are well apart."""
+    rows = np.unique(np.linspace(0, len(seen) - 1, MOST_PAIRED).round().astype(int))
+    seen, places = seen[rows], places[rows]
     first, second = np.triu_indices(len(seen), 1)
     a = np.linalg.norm(seen[first] - seen[second], axis=1)
     b = np.linalg.norm(places[first] - places[second], axis=1)
@@ -177,7 +180,7 @@ def _check_scale(seen: Floats, places: Floats) -> None:
     if abs(scale - 1.0) > SCALE_OFF:
         hint = "; are the surveyed positions in mm?" if abs(scale / 1e3 - 1.0) < SCALE_OFF else ""
         raise InputError(
-            f"the surveyed places: they are {scale:.3g} times as far apart as the robots that the camera sees, "
+            f"{survey}: its places are {scale:.3g} times as far apart as the robots that the camera sees, "
             f"expected positions in m of the same robots{hint}"
         )
 

@@ -66,7 +66,7 @@ def surveyed(
 @pytest.mark.parametrize("count", [3, 12])
 def test_exact_surveys_give_the_exact_camera(rng: np.random.Generator, oriented: bool, count: int) -> None:
     T_world_camera = random_pose(rng)
-    fit = fit_world(surveyed(rng, T_world_camera, count, oriented=oriented))
+    fit = fit_world(surveyed(rng, T_world_camera, count, oriented=oriented), "survey")
     assert_poses_close(fit.T_world_camera, T_world_camera, 1e-9, 1e-9)
     assert np.abs(fit.residuals_m).max() < 1e-9
     assert np.isfinite(fit.held_out_m).all() == (count > 3)
@@ -80,7 +80,7 @@ def test_errors_are_as_large_as_the_covariance_says(
     squared, trials = [], 20
     for _ in range(trials):
         T = random_pose(rng)
-        fit = fit_world(surveyed(rng, T, 20, noise=1.0, survey_m=survey_m, survey_rad=survey_rad))
+        fit = fit_world(surveyed(rng, T, 20, noise=1.0, survey_m=survey_m, survey_rad=survey_rad), "survey")
         turned = log_rotation(T.rotation @ fit.T_world_camera.rotation.T)
         off = np.concatenate([T.position - fit.T_world_camera.position, turned])
         squared.append(off @ np.linalg.solve(fit.covariance, off))
@@ -90,9 +90,9 @@ def test_errors_are_as_large_as_the_covariance_says(
 
 def test_held_out_residuals_are_those_of_a_fit_without_the_sample(rng: np.random.Generator) -> None:
     pairs = surveyed(rng, random_pose(rng), 5, noise=1.0, survey_m=0.3e-3)
-    fit = fit_world(pairs)
+    fit = fit_world(pairs, "survey")
     for k, (sighting, place) in enumerate(pairs):
-        alone = fit_world([pair for j, pair in enumerate(pairs) if j != k])
+        alone = fit_world([pair for j, pair in enumerate(pairs) if j != k], "survey")
         off = place.position - (alone.T_world_camera @ sighting.pose).position
         # Refitting also finds the survey's variance anew, which shifts the weights a little.
         assert np.linalg.norm(off - fit.held_out_m[k]) < 0.3 * np.linalg.norm(off) + 1e-4
@@ -104,7 +104,7 @@ def test_a_slip_in_the_survey_is_left_out(rng: np.random.Generator) -> None:
     pairs = surveyed(rng, T, 10, noise=1.0)
     sighting, place = pairs[4]
     pairs[4] = (sighting, SurveyedPose("alpha", place.position + np.array([0.05, 0.0, 0.0]), place.orientation))
-    fit = fit_world(pairs)
+    fit = fit_world(pairs, "survey")
     assert fit.used.tolist() == [k != 4 for k in range(10)]
     assert_poses_close(fit.T_world_camera, T, 1e-3, 1e-3)
     assert np.linalg.norm(fit.held_out_m[4]) == pytest.approx(0.05, rel=0.05)
@@ -124,7 +124,7 @@ def test_the_tilt_that_the_survey_says_is_taken(rng: np.random.Generator) -> Non
         )
         for sighting, place in pairs
     ]
-    fit = fit_world(pairs)
+    fit = fit_world(pairs, "survey")
     assert_poses_close(fit.T_world_camera, T, 1e-9, 1e-9)
     assert np.abs(fit.residuals_rad).max() < 1e-9
 
@@ -133,7 +133,7 @@ def test_frames_of_one_place_count_as_one_sample(rng: np.random.Generator) -> No
     T = random_pose(rng)
     pairs = surveyed(rng, T, 4)
     repeated = [(replace(s, frame=f"{s.frame}-{k}"), place) for s, place in pairs for k in range(5)]
-    fit = fit_world(repeated)
+    fit = fit_world(repeated, "survey")
     assert [sample.frames for sample in fit.samples] == [5] * 4
     assert_poses_close(fit.T_world_camera, T, 1e-9, 1e-9)
 
@@ -141,20 +141,22 @@ def test_frames_of_one_place_count_as_one_sample(rng: np.random.Generator) -> No
 def test_places_that_do_not_determine_the_camera_are_refused(rng: np.random.Generator) -> None:
     T = random_pose(rng)
     pairs = surveyed(rng, T, 8)
-    with pytest.raises(InputError, match="2 surveyed and seen, expected at least 3 that do not lie on one line"):
-        fit_world(pairs[:2])
+    with pytest.raises(
+        InputError, match="2 places are surveyed and seen, expected at least 3 that do not lie on one line"
+    ):
+        fit_world(pairs[:2], "survey")
     same = [(replace(s, frame=f"{k}"), place) for k, (s, place) in enumerate([pairs[0]] * 5)]
-    with pytest.raises(InputError, match="1 surveyed and seen"):
-        fit_world(same)
+    with pytest.raises(InputError, match="1 places are surveyed and seen"):
+        fit_world(same, "survey")
     line = []
     for k, (sighting, place) in enumerate(pairs):
         seen = Pose(np.array([0.1 * k, 0.05 * k, 1.2]), sighting.pose.orientation)
         line.append((replace(sighting, pose=seen), replace(place, position=(T @ seen).position)))
     with pytest.raises(InputError, match=r"lie on one line .collinear: they spread by"):
-        fit_world(line)
+        fit_world(line, "survey")
     mm = [(s, replace(place, position=1e3 * place.position)) for s, place in pairs]
     with pytest.raises(InputError, match=r"1e.03 times as far apart .* are the surveyed positions in mm\?"):
-        fit_world(mm)
+        fit_world(mm, "survey")
 
 
 def write_sim(folder: Path, frames: int = 3) -> None:
@@ -206,7 +208,7 @@ def test_the_command_places_the_camera(tmp_path: Path, capsys: pytest.CaptureFix
     told_lines = capsys.readouterr().err.splitlines()
     assert code == 2
     assert "2 frames (00000.png, 00002.png) are not in" in told_lines[0]
-    assert "2 surveyed and seen, expected at least 3" in told_lines[1]
+    assert "2 places are surveyed and seen, expected at least 3" in told_lines[1]
 
 
 def test_sightings_are_in_the_cameras_frame_whatever_the_world() -> None:

@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
         yield from progress(source.frames(), source.length, next(rounds))
 
     warm_up()
-    found = calibrate_leds(rig, options.robot, frames, options.distance)
+    found = calibrate_leds(rig, options.robot, frames, options.source, options.distance)
     robot = rig.robot(options.robot)
     leds = found.adjusted.leds.round(DECIMALS) + 0.0
     text = rewrite(rig.rig_text, {("robots", options.robot, "leds"): leds.tolist()}, options.rig)

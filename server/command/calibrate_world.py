@@ -69,7 +69,7 @@ def _from_survey(options: argparse.Namespace, rig: Rig) -> tuple[Pose, Floats]:
         pairs += here
     if missing:
         say(f"{missing} surveyed poses belong to robots that were not located in their frame; left out")
-    fit = fit_world(pairs)
+    fit = fit_world(pairs, str(options.truth))
     _tell(fit)
     axes = [fit.T_world_camera.rotation @ s.pose.rotation @ rig.robot(s.robot).axis for s, _ in pairs]
     if np.median([axis[2] for axis in axes]) < 0.0:

@@ -47,7 +47,7 @@ def main() -> int:
             found, given = load_rig(out).robots[0].leds, load_rig(folder / "rig.yaml").robots[0].leds
             rig = load_rig(folder / "rig.yaml")
             frames = list(open_source(str(folder / "frames"), rig, print).frames())
-            adjusted = calibrate_leds(rig, "alpha", lambda f=frames: f, (0, 3, metres)).adjusted
+            adjusted = calibrate_leds(rig, "alpha", lambda f=frames: f, "film", (0, 3, metres)).adjusted
         off = _off(adjusted.leds, given, true).ravel()
         weighted = off @ np.linalg.pinv(adjusted.covariance, rcond=1e-8, hermitian=True) @ off
         start, end = (np.linalg.norm(_off(leds, true, true), axis=1) for leds in (given, found))
