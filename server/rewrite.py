@@ -20,17 +20,16 @@ def rewrite(text: str, changes: Mapping[tuple[str, ...], Value], name: str) -> s
     """The YAML ``text`` with the values at the paths changed: ``{("robots", "alpha", "leds"): [[x, y, z], ...]}``.
 
     Where a list or mapping has the shape of what stands there, its scalars are replaced one by one, comments between
-    them stay. A key that is not there is added to its mapping, with the mappings above it. Numbers are written as they
-    are given (round them first). ``name`` is what sentences call the file. Raises InputError where a value is shared
-    by an anchor, since changing it would change another's.
+    them stay; one of another shape is replaced as a whole. A key that is not there is added to its mapping, with the
+    mappings above it. Numbers are written as they are given (round them first). ``name`` is what sentences call the
+    file. Raises InputError where a value is shared by an anchor, since changing it would change another's.
     """
-    edits: list[tuple[int, int, str]] = []
-    root = _compose(text)
-    shared = _shared(root)
     for path, value in changes.items():
-        _change(text, root, path, value, edits, shared, name)
-    for start, end, new in sorted(edits, reverse=True):
-        text = text[:start] + new + text[end:]
+        root = _compose(text)
+        edits: list[tuple[int, int, str]] = []
+        _change(text, root, path, value, edits, _shared(root), name)
+        for start, end, new in sorted(edits, reverse=True):
+            text = text[:start] + new + text[end:]
     return text
 
 
@@ -38,7 +37,7 @@ def relocate(text: str, old: Path, new: Path) -> str:
     """The rig's ``text``, written at ``old``, for the place ``new``: relative paths (`camera`, every robot's
     `led.offset`) lead to the same files.
     """
-    before, after = old.resolve().parent, new.resolve().parent
+    before, after = old.parent.resolve(), new.parent.resolve()
     if before == after:
         return text
     root = _compose(text)
@@ -136,10 +135,15 @@ def _replace(
         for item, below in zip(value, node.value, strict=True):
             _replace(below, item, path, edits, shared, name)
     else:
-        end = node.end_mark.index
-        if node.id != "scalar" and not node.flow_style:
-            raise AssertionError(f"{'.'.join(path)}: a block of another shape is never replaced by a calibration")
-        edits.append((node.start_mark.index, end, _flow(value)))
+        edits.append((node.start_mark.index, _end(node), _flow(value)))
+
+
+def _end(node: Any) -> int:
+    """Where a value ends; the mark of a block is only where the next thing begins."""
+    if node.id == "scalar" or node.flow_style:
+        return int(node.end_mark.index)
+    last = node.value[-1]
+    return _end(last[1] if node.id == "mapping" else last)
 
 
 def _inserted(text: str, mapping: Any, key: str, value: Value) -> tuple[int, int, str]:

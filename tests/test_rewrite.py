@@ -88,6 +88,14 @@ def test_a_world_that_is_there_is_changed_in_place() -> None:
         assert len(new.splitlines()) == len(text.splitlines())
 
 
+def test_several_keys_may_be_added_and_blocks_of_another_shape_replaced() -> None:
+    text = "a: {}\nb:\n  - 1\n  - x: 2\n    y: 3   # last\nc: 4\n"
+    changes = {("a", "one"): 1.0, ("a", "two"): 2.0, ("d", "e"): 5.0, ("d", "f"): 6.0, ("b",): [7.0, 8.0, 9.0]}
+    new = rewrite(text, changes, "")
+    assert values(new) == {"a": {"one": 1, "two": 2}, "b": [7, 8, 9], "c": 4, "d": {"e": 5, "f": 6}}
+    assert "   # last\n" in new
+
+
 def test_small_numbers_are_written_out() -> None:
     assert "[0.0000121, -0.5]" in rewrite("a: [1, 2]", {("a",): [1.21e-5, -0.5]}, "")
 
