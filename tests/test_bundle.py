@@ -93,7 +93,7 @@ def test_errors_are_as_large_as_the_covariance_says(
     rng: np.random.Generator, radius: float, depths_m: tuple[float, float]
 ) -> None:
     """Eleven of the eighteen numbers are free: their weighted squared errors average 11 over many films."""
-    disc, films = Disc(np.array([0.0, 0.0, 1.0]), radius), 30
+    disc, films = Disc(np.array([0.0, 0.0, 1.0]), radius), 20
     squared = []
     for _ in range(films):
         leds = true_leds(rng)

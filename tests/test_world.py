@@ -271,7 +271,7 @@ def test_the_command_takes_a_chessboard(tmp_path: Path, capsys: pytest.CaptureFi
     camera = load_rig(tmp_path / "rig.yaml").camera
     assert not camera.distortion.any()
     T_camera_board = Pose.from_matrix(exp_rotation(np.array([0.5, 0.1, 0.3])), np.array([-0.1, -0.08, 1.0]))
-    finer, pitch, (x0, y0, x1, y1) = 4, 0.03, (300, 250, 900, 750)
+    finer, pitch, (x0, y0, x1, y1) = 3, 0.03, (300, 250, 900, 750)
     v, u = np.mgrid[: (y1 - y0) * finer, : (x1 - x0) * finer]
     pixels = (np.stack([u, v], axis=-1) + 0.5) / finer - 0.5 + [x0, y0]
     rays = (pixels - camera.matrix[:2, 2]) / np.diag(camera.matrix)[:2]
