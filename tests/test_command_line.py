@@ -47,13 +47,6 @@ def test_the_lines_to_copy_are_understood() -> None:
         parser.parse_args(words[1:])
 
 
-def test_what_is_not_there_yet_is_no_command(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["calibrate"])
-    assert ended.value.code == 2
-    assert "invalid choice: 'calibrate'" in capsys.readouterr().err
-
-
 def test_help_and_clients_are_light() -> None:
     assert not imported("from asterism.server.__main__ import _parser; _parser().format_help()") & set(HEAVY)
     assert not imported("import asterism.clients") & set(HEAVY)
