@@ -53,25 +53,25 @@ class Confusion:
     taken_leds: tuple[int, ...]  # LED taken_leds[k] of the other
 
 
-def confusions(layouts: Sequence[Floats], hidden: int = 0) -> Iterator[Confusion]:
+def confusions(layouts: Sequence[Floats], hidden: int = 0, mirrored: bool = False) -> Iterator[Confusion]:
     """For every ordered pair of layouts (6, 2), and every layout with itself, the nearest confusion.
 
     ``hidden`` LEDs (0 or 1) are not visible. A layout taken for itself with every LED in its own place is no
-    confusion.
+    confusion. ``mirrored``: what is seen is the mirror image, as a polished surface shows it.
     """
     count = LEDS - hidden
     orders = np.array(list(itertools.permutations(range(LEDS), count)))  # which LEDs are seen, in what order
     subsets = list(itertools.combinations(range(LEDS), count))  # which LEDs of the other they are taken for
     bases = np.concatenate([_basis(layout[list(subset)]).T for layout in layouts for subset in subsets])
     for seen, layout in enumerate(layouts):
-        points = layout[orders]  # (orders, count, 2)
+        points = (layout * [-1.0, 1.0] if mirrored else layout)[orders]  # (orders, count, 2)
         points = points - points.mean(axis=1, keepdims=True)
         total = (points**2).sum(axis=(1, 2))
         flat = points.transpose(1, 0, 2).reshape(count, -1)  # (count, orders * 2)
         fits = (bases @ flat).reshape(len(layouts), len(subsets), 2, len(orders), 2)
         left = total - (fits**2).sum(axis=(2, 4))  # (layouts, subsets, orders) squared residuals
-        mirrored = fits[:, :, 0, :, 0] * fits[:, :, 1, :, 1] < fits[:, :, 0, :, 1] * fits[:, :, 1, :, 0]
-        left = np.where(mirrored, np.inf, np.maximum(left, 0.0))
+        reflects = fits[:, :, 0, :, 0] * fits[:, :, 1, :, 1] < fits[:, :, 0, :, 1] * fits[:, :, 1, :, 0]
+        left = np.where(reflects, np.inf, np.maximum(left, 0.0))
         for number, subset in enumerate(subsets):
             left[seen, number, (orders == subset).all(axis=1)] = np.inf
         for taken in range(len(layouts)):

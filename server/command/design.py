@@ -1,0 +1,85 @@
+"""asterism design: constellations that cannot be confused, with a drill plan."""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from asterism.protocol.errors import InputError, WorldError
+from asterism.protocol.geometry import Floats
+from asterism.protocol.rig import parse_rig
+from asterism.server.command.say import say
+from asterism.server.drill_plan import drill_plan
+from asterism.server.page import pdf, svg
+from asterism.server.plate_design import FOCAL_PX, LED_RADIUS, RIM, Design, Request, design
+from asterism.server.plate_files import camera_text, rig_text
+from asterism.server.telling_apart import SIGMAS, TILT_DEG, image_px
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write OUT/rig.yaml, camera.yaml and drill/ID.svg and .pdf; print what keeps the constellations apart."""
+    out: Path = options.out
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out}: exists already, expected a new or empty folder")
+    request = Request(options.robots, options.disc, options.spacing, options.distance, options.sigma)
+    say(f"searching {request.robots} constellations (a fraction of a minute) ...")
+    found = design(request)
+    rig, camera = rig_text(found), camera_text()
+    parse_rig(rig, camera, str(out))
+    try:
+        (out / "drill").mkdir(parents=True, exist_ok=True)
+        (out / "rig.yaml").write_text(rig, encoding="utf-8")
+        (out / "camera.yaml").write_text(camera, encoding="utf-8")
+        for name, layout in zip(found.names, found.layouts, strict=True):
+            page = drill_plan(name, layout, request.disc, LED_RADIUS)
+            (out / "drill" / f"{name}.svg").write_text(svg(page), encoding="utf-8")
+            (out / "drill" / f"{name}.pdf").write_bytes(pdf(page))
+    except OSError as error:
+        raise WorldError(f"{out}: cannot be written ({error.strerror})") from None
+    _tell(found)
+    print(
+        f"written: {out / 'rig.yaml'}; {out / 'camera.yaml'}, nominal: put your calibrated camera's in its place; "
+        f"{out / 'drill'}: a drill plan of each, SVG and PDF"
+    )
+    print(f"next: asterism check {out / 'rig.yaml'}")
+    return 0
+
+
+def _tell(found: Design) -> None:
+    asked, layouts = found.request, found.layouts
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=160)
+    apart = np.linalg.norm(layouts[:, :, None] - layouts[:, None], axis=-1) + np.eye(6)
+    console.print(
+        f"{asked.robots} constellations on plates of {asked.disc * 1e3:g} mm: LEDs {apart.min() * 1e3:.2f} mm apart "
+        f"and {RIM * 1e3:g} mm from the edge, or more",
+        highlight=False,
+    )
+    table = Table(box=None, header_style="bold", padding=(0, 1))
+    for name in ("least separation", "LEDs", "mm", f"px at {asked.distance:g} m", f"tilted {TILT_DEG:g}°", "where"):
+        table.add_column(
+            name, justify="left" if name in ("least separation", "LEDs", "where") else "right", no_wrap=True
+        )
+    itself = np.eye(len(layouts), dtype=bool)
+    for leds, separation in (("all visible", found.visible), ("one hidden", found.hidden)):
+        for which, mask in (("of two robots", ~itself), ("of one and itself", itself)):
+            if mask.any():
+                table.add_row(which, leds, *_least(found, np.where(mask, separation, np.inf)))
+    console.print(table)
+    console.print(
+        f"needed: {asked.needed * 1e3:.2f} mm, which is {SIGMAS:g} sigma = {SIGMAS * asked.sigma_px:g} px at "
+        f"{asked.distance:g} m and {TILT_DEG:g}° of tilt for f = {FOCAL_PX:g} px; mirror images in a polished surface "
+        "are reckoned with",
+        highlight=False,
+    )
+
+
+def _least(found: Design, separation: Floats) -> tuple[str, str, str, str]:
+    seen, taken = np.unravel_index(int(np.argmin(separation)), separation.shape)
+    least, names = float(separation[seen, taken]), found.names
+    flat, tilted = (image_px(least, FOCAL_PX, found.request.distance, tilt) for tilt in (0.0, TILT_DEG))
+    where = names[seen] if seen == taken else f"{names[seen]} taken for {names[taken]}"
+    return f"{least * 1e3:.2f}", f"{flat:.2f}", f"{tilted:.2f}", where
