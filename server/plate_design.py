@@ -22,7 +22,7 @@ LEAST_SPACING = 0.006  # m: collars of two LEDs side by side
 MOST_ROBOTS = 400
 # Random layouts are about three times as far apart with all LEDs visible as with one hidden: ask for both alike.
 RATIO = 3.2
-WORK = 1_200_000  # strengths of pairs that the search may compute
+WORK = 800_000  # strengths of pairs that the search may compute
 LAST_WORK = 0.7  # of that again, where what is needed was not reached and the RATIO is given up
 _TRIES = 20_000  # throws a layout, until the disc is too small for it
 _PATIENCE = 100_000
@@ -56,8 +56,8 @@ class Request:
         far = FOCAL_PX * self.spacing / MERGE_PX
         if not self.least_distance <= self.distance <= far:
             raise InputError(
-                f"--distance: {self.distance:g}, expected m, from {_ceil(self.least_distance)} (nearer, at half of it, a "
-                f"plate of {self.disc:g} m does not fit the image of a camera with f = {FOCAL_PX:g} px) to "
+                f"--distance: {self.distance:g}, expected m, from {_ceil(self.least_distance)} (nearer, at half of it, "
+                f"a plate of {self.disc:g} m does not fit the image of a camera with f = {FOCAL_PX:g} px) to "
                 f"{_floor(far)} (farther, LEDs {self.spacing:g} m apart merge)"
             )
 
