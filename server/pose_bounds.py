@@ -15,6 +15,7 @@ from asterism.server.planar import normal_equations, other_minimum, pose_cost, r
 DIRECTIONS = 12  # evenly round the plate
 _FACING = np.diag([1.0, -1.0, -1.0])
 _ITERATIONS = 30
+_LINE = 1e-3  # points whose spread in one direction is less than this of that in the other lie on one line
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,14 +40,19 @@ def leaning_poses(distance_m: float, tilt_rad: float) -> list[tuple[Floats, Floa
 
 
 def pose_bound(points: Floats, distance_m: float, tilt_rad: float, sigma: float) -> Bound:
-    """The bound for a plane's points (n, 3), n >= 4, m, at that distance and tilt; the pose is that of the points'
-    mean. ``sigma``, rays, is the noise of every coordinate of a centre: that in px over the focal length.
+    """The bound for a plane's points (n, 3), n >= 4, m, at that distance and tilt; infinite where they lie on one line.
+
+    The pose is that of the points' mean. ``sigma``, rays, is the noise of every coordinate of a centre: that in px over
+    the focal length.
 
     A flip is decided by the least squared residual alone, without any prior. Its probability is that of the likelier
     of two known images, Q(d / 2) with d the distance of the two in sigmas. Where the second minimum is not one any
     more, the mirrored tilt itself stands for it; a plate that faces the camera has one half.
     """
     centred = points - points.mean(axis=0)
+    lengths = np.linalg.svd(centred, compute_uv=False)
+    if lengths[1] < _LINE * lengths[0]:
+        return Bound(math.inf, math.inf, math.inf, math.inf, 0.5)
     information = np.tile([sigma**-2, 0.0, sigma**-2], (len(points), 1))
     squares, flips = [], []
     for rotation, t in leaning_poses(distance_m, tilt_rad):

@@ -68,8 +68,8 @@ class RigCheck:
         return needed_m(SIGMA_PX, self.rig.camera.focal_px, self.distances[-1], self.tilt_deg)
 
     def verdict(self) -> list[str]:
-        """One sentence on identities, one on mirror images, one on tilts."""
-        return [*self._identities(), self._mirrors(), self._tilts()]
+        """One sentence on identities, one on mirror images, one on tilts; and one where five LEDs lie on one line."""
+        return [*self._identities(), self._mirrors(), *self._lines(), self._tilts()]
 
     def _least(self, hidden: int, mirrored: bool) -> float:
         return min(
@@ -106,6 +106,10 @@ class RigCheck:
                 "mirror images in a polished surface: safe with all LEDs visible; with one hidden they can be mistaken"
             )
         return "mirror images in a polished surface: NOT safe, they can be mistaken for a robot"
+
+    def _lines(self) -> list[str]:
+        lined = [entry.robot.id for entry in self.robots if math.isinf(entry.bound_hidden.depth_m)]
+        return [f"poses: five LEDs on one line tell none when the sixth is hidden: {_list(lined)}"] if lined else []
 
     def _tilts(self) -> str:
         far = self.distances[-1]

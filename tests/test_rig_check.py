@@ -98,6 +98,14 @@ def test_priors_of_normals_limit_the_tilt() -> None:
     assert check_rig(make_rig(1)).tilt_deg == 60.0
 
 
+def test_leds_on_a_line_tell_no_pose() -> None:
+    line = np.column_stack([[0.0, 0.02, 0.045, 0.06, 0.09], np.zeros((5, 2))])
+    assert pose_bound(line, 1.0, 0.5, SIGMA).depth_m == np.inf
+    robot = Robot("alpha", np.vstack([line, [0.03, 0.05, 0.0]]))
+    verdict = check_rig(Rig(make_camera(), (robot,), range_m=(0.8, 2.0))).verdict()
+    assert "poses: five LEDs on one line tell none when the sixth is hidden: alpha" in verdict
+
+
 def lookalikes(shift: float, hidden_too: bool) -> Rig:
     """Two robots that differ in one LED by ``shift`` m; or in three of them."""
     rng = np.random.default_rng(8)
