@@ -41,9 +41,8 @@ def drill_plan(name: str, layout: Floats, disc: float, led_radius: float) -> Pag
         Words(_MARGIN, height - 32, f"{paper}: print at 100 %, without fitting to the page"),
     ]
     marks += _plate(x, y, size / 2)
-    holes = layout * 1e3 + [x, y]
-    for number in range(len(holes)):
-        marks += _hole(holes, number, led_radius * 1e3)
+    for number in range(len(layout)):
+        marks += _hole(layout * 1e3, number, led_radius * 1e3, x, y, size / 2)
     return Page(width, height, f"asterism drill plan {name}", (*marks, *_bar(), *_table(layout)))
 
 
@@ -62,18 +61,24 @@ def _plate(x: float, y: float, radius: float) -> list[Line | Circle | Words]:
     ]
 
 
-def _hole(holes: Floats, number: int, radius: float) -> list[Line | Circle | Words]:
-    """One of the ``holes`` (n, 2) with its number in the corner that is farthest from the others."""
-    x, y = holes[number].tolist()
-    arm, away = _CROSS * radius, (radius + _DIGIT / 2) / math.sqrt(2) + 0.5
-    corners = [(x + side * away, y + up * away) for up in (1, -1) for side in (1, -1)]
+def _hole(holes: Floats, number: int, radius: float, x: float, y: float, plate: float) -> list[Line | Circle | Words]:
+    """One of the ``holes`` (n, 2), from the centre (x, y) of a plate of radius ``plate``, with its number in that of
+    four corners which is clearest of other holes, axes and rim.
+    """
     others = np.delete(holes, number, axis=0)
-    corner_x, corner_y = max(corners, key=lambda corner: float(np.linalg.norm(others - corner, axis=1).min()))
+
+    def clear(corner: Floats) -> float:
+        away = float(np.linalg.norm(others - corner, axis=1).min()) - radius
+        return min(away, plate - float(np.linalg.norm(corner)), float(np.abs(corner).min()))
+
+    arm, away = _CROSS * radius, (radius + _DIGIT / 2) / math.sqrt(2) + 0.5
+    digit = max((holes[number] + away * np.array([side, up]) for up in (1, -1) for side in (1, -1)), key=clear)
+    hole_x, hole_y = x + float(holes[number, 0]), y + float(holes[number, 1])
     return [
-        Circle(x, y, radius),
-        Line(x - arm, y, x + arm, y, 0.1),
-        Line(x, y - arm, x, y + arm, 0.1),
-        Words(corner_x - 0.28 * _DIGIT, corner_y - 0.36 * _DIGIT, str(number), _DIGIT),
+        Circle(hole_x, hole_y, radius),
+        Line(hole_x - arm, hole_y, hole_x + arm, hole_y, 0.1),
+        Line(hole_x, hole_y - arm, hole_x, hole_y + arm, 0.1),
+        Words(x + float(digit[0]) - 0.28 * _DIGIT, y + float(digit[1]) - 0.36 * _DIGIT, str(number), _DIGIT),
     ]
 
 

@@ -115,6 +115,7 @@ def test_holes_bear_their_numbers_and_stand_in_the_table(layout: Floats) -> None
         away = np.linalg.norm(layout * 1e3 + middle - digit, axis=1)
         assert np.argmin(away) == led
         assert 2.5 < away[led] < 7.0
+        assert 50 - np.linalg.norm(digit - middle) > 2  # off the rim
         rows = [text.split() for text in numbers if text.split()[0] == str(led) and len(text.split()) == 3]
         assert rows == [[str(led), f"{x:.2f}", f"{y:.2f}"]]
     assert {"x", "y", "r001"} <= set(numbers)

@@ -27,8 +27,9 @@ def run(options: argparse.Namespace) -> int:
     near, _, far = found.distances
     where = "" if rig.range_m else " (no range in the rig: from filling the image to LEDs that merge)"
     console.print(
-        f"{options.rig}: {len(rig.robots)} robot{'s' * (len(rig.robots) > 1)}, camera {rig.camera.name} (f = {rig.camera.focal_px:g} px), "
-        f"{near:.4g} to {far:.4g} m{where}, tilted by up to {found.tilt_deg:.3g}° from its axis",
+        f"{options.rig}: {len(rig.robots)} robot{'s' * (len(rig.robots) > 1)}, camera {rig.camera.name} "
+        f"(f = {rig.camera.focal_px:g} px), {near:.4g} to {far:.4g} m{where}, tilted by up to {found.tilt_deg:.3g}° "
+        "from its axis",
         highlight=False,
         soft_wrap=True,
     )
