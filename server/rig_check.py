@@ -12,7 +12,7 @@ from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import Rig, Robot
 from asterism.server.plan import plan_for
 from asterism.server.pose_bounds import Bound, pose_bound
-from asterism.server.telling_apart import TILT_DEG, image_px, needed_m
+from asterism.server.telling_apart import SIGMAS, TILT_DEG, image_px, needed_m
 
 SIGMA_PX = 0.05  # of a centre, with what calibration and LED positions add to it
 TILTS_DEG = (0.0, 5.0, 10.0, 15.0, 30.0, 45.0, 60.0)
@@ -83,18 +83,18 @@ class RigCheck:
         if hidden >= self.needed and visible >= self.needed:
             return [
                 "identities: safe, also with one LED hidden; centres may be "
-                f"{self.px(min(visible, hidden), self.tilt_deg) / 10:.2g} px off (one sigma)"
+                f"{self.px(min(visible, hidden), self.tilt_deg) / SIGMAS:.2g} px off (one sigma)"
             ]
         weak = [entry for entry in self.robots if min(entry.other[1], entry.itself[1]) < self.needed]
         who = _list([entry.robot.id for entry in weak])
         if visible >= self.needed:
             return [
                 f"identities: safe with all LEDs visible; with one hidden {who} can be mistaken where centres are "
-                f"{SIGMA_PX:g} px off (good for {self.px(hidden, self.tilt_deg) / 10:.2g} px)"
+                f"{SIGMA_PX:g} px off (good for {self.px(hidden, self.tilt_deg) / SIGMAS:.2g} px)"
             ]
         return [
             f"identities: NOT safe, even with all LEDs visible, where centres are {SIGMA_PX:g} px off (good for "
-            f"{self.px(min(visible, hidden), self.tilt_deg) / 10:.2g} px): {who}"
+            f"{self.px(min(visible, hidden), self.tilt_deg) / SIGMAS:.2g} px): {who}"
         ]
 
     def _mirrors(self) -> str:
@@ -155,11 +155,12 @@ def check_rig(rig: Rig, progress: Callable[[str], None] = lambda _: None) -> Rig
         for tilt in TILTS_DEG
         if tilt <= tilt_deg
     }
+    nearest = {hidden: _nearest(plain[hidden], len(rig.robots)) for hidden in (0, 1)}
     robots = tuple(
         RobotCheck(
             robot,
-            {hidden: _nearest(plain[hidden], index, False) for hidden in (0, 1)},
-            {hidden: _nearest(plain[hidden], index, True) for hidden in (0, 1)},
+            {hidden: float(nearest[hidden][0][index]) for hidden in (0, 1)},
+            {hidden: float(nearest[hidden][1][index]) for hidden in (0, 1)},
             pose_bound(robot.leds_plane, far, math.radians(TYPICAL_DEG), sigma),
             _one_hidden(robot.leds_plane, far, sigma),
         )
@@ -178,15 +179,14 @@ def _most_tilt_deg(rig: Rig, robot: Robot) -> float:
     return math.degrees(middle + off + robot.normal.within_rad)
 
 
-def _nearest(found: list[Confusion], robot: int, itself: bool) -> float:
-    return min(
-        (
-            confusion.separation
-            for confusion in found
-            if robot in (confusion.seen, confusion.taken) and (confusion.seen == confusion.taken) == itself
-        ),
-        default=math.inf,
-    )
+def _nearest(found: list[Confusion], robots: int) -> tuple[Floats, Floats]:
+    """For every robot the separation from the nearest other one, and from itself, (robots,) each."""
+    matrix = np.full((robots, robots), np.inf)
+    for confusion in found:
+        matrix[confusion.seen, confusion.taken] = confusion.separation
+    itself = np.diag(matrix).copy()
+    np.fill_diagonal(matrix, np.inf)
+    return np.minimum(matrix.min(axis=0), matrix.min(axis=1)), itself
 
 
 def _one_hidden(leds: Floats, distance: float, sigma: float) -> Bound:

@@ -48,10 +48,10 @@ def _dependency(layout, leds, out):
         for k in range(n):
             square += basis[row, k] ** 2
         length = math.sqrt(square)
-        if 0 < row < 3:
-            if not length > _FLAT * spread:
-                return False
-            spread = max(spread, length)
+        if row == 1:
+            spread = length
+        if row == 2 and not min(length, spread) > _FLAT * max(length, spread):
+            return False
         if not length > 1e-9:
             return False
         for k in range(n):

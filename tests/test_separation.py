@@ -103,4 +103,6 @@ def test_strength_is_the_worst_of_both_directions(rng: np.random.Generator) -> N
 
 def test_four_leds_on_a_line_have_no_tables() -> None:
     layout = np.array([[0.0, 0.0], [0.02, 0.0], [0.04, 0.0], [0.06, 0.0], [0.01, 0.03], [0.05, -0.02]])
-    assert not tabulate(layout, np.empty(TABLES))
+    for turn in (0.0, 0.5, np.pi / 2):
+        turned = layout @ exp_rotation(np.array([0.0, 0.0, turn]))[:2, :2].T
+        assert not tabulate(turned, np.empty(TABLES))

@@ -24,7 +24,7 @@ def run(options: argparse.Namespace) -> int:
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: exists already, expected a new or empty folder")
     request = Request(options.robots, options.disc, options.spacing, options.distance, options.sigma)
-    say(f"searching {request.robots} constellations (a fraction of a minute) ...")
+    say("searching (some ten seconds; the first time on a machine half a minute) ...")
     found = design(request)
     rig, camera = rig_text(found), camera_text()
     parse_rig(rig, camera, str(out))
@@ -54,8 +54,8 @@ def _tell(found: Design) -> None:
         console = Console(width=160)
     apart = np.linalg.norm(layouts[:, :, None] - layouts[:, None], axis=-1) + np.eye(6)
     console.print(
-        f"{asked.robots} constellations on plates of {asked.disc * 1e3:g} mm: LEDs {apart.min() * 1e3:.2f} mm apart "
-        f"and {RIM * 1e3:g} mm from the edge, or more",
+        f"{asked.robots} constellation{'s' * (asked.robots > 1)} on plates of {asked.disc * 1e3:g} mm: LEDs "
+        f"{apart.min() * 1e3:.2f} mm apart and {RIM * 1e3:g} mm from the edge, or more",
         highlight=False,
     )
     table = Table(box=None, header_style="bold", padding=(0, 1))
