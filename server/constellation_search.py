@@ -77,7 +77,7 @@ def _throw(rng, radius, spacing, layout):
 
 @compiled
 def _shift(rng, old, radius, layout):
-    """``old`` with one to six LEDs moved by anything from a thousandth of the radius to a half."""
+    """``old`` with some of its LEDs moved by anything from a thousandth of the radius to a half."""
     size = 0.5 * radius * math.exp(-6.0 * rng.random())
     share = rng.random()
     for k in range(6):

@@ -174,6 +174,17 @@ def test_check_tells_everything_of_the_demonstration(capsys: pytest.CaptureFixtu
     assert len(re.findall(r"^(?:two robots|one and itself|mirror image) +(?:all visible|one hidden)", told, re.M)) == 6
 
 
+def test_names_are_told_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "[bold]"
+    folder.mkdir()
+    (folder / "camera.yaml").write_text((DEMO_RIG.parent / "camera.yaml").read_text())
+    (folder / "rig.yaml").write_text(DEMO_RIG.read_text().replace("alpha:", "'[red]':"))
+    assert main(["check", str(folder / "rig.yaml")]) == 0
+    told = capsys.readouterr().out
+    assert "[bold]/rig.yaml: 5 robots" in told
+    assert re.search(r"^\[red\] +\d", told, re.M)
+
+
 def test_bad_input_gets_one_sentence(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     asked = ["design", "--robots", "3", "--disc", "0.1", "--spacing", "0.02", "--distance", "1.5", "--sigma", "0.05"]
     assert "nowhere.yaml: no such file" in refused(capsys, "check", "nowhere.yaml")

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from asterism.protocol.rig import load_rig
@@ -27,9 +28,9 @@ def run(options: argparse.Namespace) -> int:
     near, _, far = found.distances
     where = "" if rig.range_m else " (no range in the rig: from filling the image to LEDs that merge)"
     console.print(
-        f"{options.rig}: {len(rig.robots)} robot{'s' * (len(rig.robots) > 1)}, camera {rig.camera.name} "
-        f"(f = {rig.camera.focal_px:g} px), {near:.4g} to {far:.4g} m{where}, tilted by up to {found.tilt_deg:.3g}° "
-        "from its axis",
+        f"{escape(options.rig)}: {len(rig.robots)} robot{'s' * (len(rig.robots) > 1)}, camera "
+        f"{escape(rig.camera.name)} (f = {rig.camera.focal_px:g} px), {near:.4g} to {far:.4g} m{where}, tilted by up "
+        f"to {found.tilt_deg:.3g}° from its axis",
         highlight=False,
         soft_wrap=True,
     )
@@ -46,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
         console.print(table)
     console.print()
     for sentence in found.verdict():
-        console.print(f"[bold]verdict[/bold] {sentence}", highlight=False, soft_wrap=True)
+        console.print(f"[bold]verdict[/bold] {escape(sentence)}", highlight=False, soft_wrap=True)
     return 0
 
 
@@ -64,7 +65,7 @@ def _separations(found: RigCheck) -> Table:
         ("of", "LEDs", seen, taken),
         (seen, taken),
     )
-    ids = [robot.id for robot in found.rig.robots]
+    ids = [escape(robot.id) for robot in found.rig.robots]
     for entry in found.weakest:
         confusion = entry.confusion
         tilted = found.px(confusion.separation, found.tilt_deg)
@@ -97,7 +98,7 @@ def _robots(found: RigCheck) -> Table:
     table = _table(("robot", "rms radius", "from others", "from itself", "z mm", "tilt °"), ("robot",))
     for entry in shown:
         table.add_row(
-            entry.robot.id,
+            escape(entry.robot.id),
             f"{entry.rms_radius * 1e3:.1f}",
             *(
                 " / ".join(f"{by[hidden] * 1e3:.2f}" if math.isfinite(by[hidden]) else "-" for hidden in (0, 1))
