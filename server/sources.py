@@ -45,18 +45,43 @@ class Source(Protocol):
         ...
 
 
+class _Expected:
+    """What images must be like: as the rig says, or without one (calibration) all of one size."""
+
+    def __init__(self, rig: Rig | None) -> None:
+        self.capture = Capture() if rig is None else rig.capture
+        self._camera = None if rig is None else rig.camera
+        self._first: tuple[int, int] | None = None
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height that a camera is to deliver, if that is known."""
+        return self.capture.size or (None if self._camera is None else (self._camera.width, self._camera.height))
+
+    def check(self, image: NDArray[np.uint8], where: str) -> None:
+        """Raises InputError for an image of another size."""
+        height, width = image.shape
+        if self._camera is not None:
+            check_image_size(self._camera, width, height, where)
+        self._first = self._first or (width, height)
+        if self._first != (width, height):
+            raise InputError(
+                f"{where}: the image is {width}x{height}, expected {self._first[0]}x{self._first[1]} as the first"
+            )
+
+
 class ImageFiles:
     """Image files in natural order. An image that cannot be read is said, counted and skipped."""
 
     live = False
 
-    def __init__(self, name: str, paths: list[Path], rig: Rig, say: Say) -> None:
+    def __init__(self, name: str, paths: list[Path], rig: Rig | None, say: Say) -> None:
         self.name = name
-        self.rate_hz = rig.capture.rate_hz or DEFAULT_RATE_HZ
+        self._expected = _Expected(rig)
+        self.rate_hz = self._expected.capture.rate_hz or DEFAULT_RATE_HZ
         self.unreadable = 0
         self.length: int | None = len(paths)
         self._paths = paths
-        self._rig = rig
         self._say = say
 
     def frames(self) -> Iterator[Frame]:
@@ -64,12 +89,12 @@ class ImageFiles:
         read = 0
         for index, path in enumerate(self._paths):
             try:
-                image = read_image(path, self._rig.capture.bits)
+                image = read_image(path, self._expected.capture.bits)
             except UnreadableImage as problem:
                 self.unreadable += 1
                 self._say(f"{path}: {problem}; skipped")
                 continue
-            check_image_size(self._rig.camera, image.shape[1], image.shape[0], str(path))
+            self._expected.check(image, str(path))
             read += 1
             exposed_ns = round(index * 1e9 / self.rate_hz)
             yield Frame(image, exposed_ns, index, path.name, exposed_ns)
@@ -82,13 +107,13 @@ class VideoFile:
 
     live = False
 
-    def __init__(self, path: Path, rig: Rig) -> None:
+    def __init__(self, path: Path, rig: Rig | None) -> None:
         import cv2
 
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         self.name = str(path)
         self.unreadable = 0
-        self._rig = rig
+        self._expected = _Expected(rig)
         self._video = cv2.VideoCapture(str(path))
         if not self._video.isOpened():
             raise InputError(f"{path}: is no video that can be read")
@@ -104,8 +129,8 @@ class VideoFile:
             there, image = self._video.read()
             if not there:
                 break
-            grey = to_grey8(image, self._rig.capture.bits, self.name)
-            check_image_size(self._rig.camera, grey.shape[1], grey.shape[0], f"{self.name}, frame {index}")
+            grey = to_grey8(image, self._expected.capture.bits, self.name)
+            self._expected.check(grey, f"{self.name}, frame {index}")
             exposed_ns = round(index * 1e9 / self.rate_hz)
             yield Frame(grey, exposed_ns, index, f"{index:06d}", exposed_ns)
             index += 1
@@ -117,12 +142,12 @@ class RecordedFrames:
 
     live = False
 
-    def __init__(self, path: Path, rig: Rig) -> None:
+    def __init__(self, path: Path, rig: Rig | None) -> None:
         from asterism.recordings.reader import Recording
 
         self.name = str(path)
         self.unreadable = 0
-        self._rig = rig
+        self._expected = _Expected(rig)
         self._recording = Recording(path)
         self.length: int | None = self._recording.count_frames()
         if not self.length:
@@ -133,7 +158,7 @@ class RecordedFrames:
     def frames(self) -> Iterator[Frame]:
         """Raises InputError for frames of another size than the calibration's."""
         for image, exposed_ns, index in self._recording.frames():
-            check_image_size(self._rig.camera, image.shape[1], image.shape[0], f"{self.name}, frame {index}")
+            self._expected.check(image, f"{self.name}, frame {index}")
             yield Frame(image, exposed_ns, index, f"{index:06d}", exposed_ns)
 
 
@@ -179,15 +204,15 @@ class Camera:
     live = True
     retry_s = 1.0
 
-    def __init__(self, name: str, open_device: Callable[[], Device | None], rig: Rig, say: Say) -> None:
+    def __init__(self, name: str, open_device: Callable[[], Device | None], rig: Rig | None, say: Say) -> None:
         """Raises WorldError when the camera does not open now."""
         self.name = name
-        self.rate_hz = rig.capture.rate_hz or DEFAULT_RATE_HZ
+        self._expected = _Expected(rig)
+        self.rate_hz = self._expected.capture.rate_hz or DEFAULT_RATE_HZ
         self.unreadable = 0
         self.length: int | None = None
         self.problem = ""  # what is wrong now, a sentence
         self._open = open_device
-        self._rig = rig
         self._say = say
         self._closed = False
         self._device: Device | None = open_device()
@@ -216,8 +241,8 @@ class Camera:
                     self.problem = f"{self.name}: the camera vanished; waiting for it"
                     self._say(self.problem)
                 continue
-            grey = to_grey8(image, self._rig.capture.bits, self.name)
-            check_image_size(self._rig.camera, grey.shape[1], grey.shape[0], self.name)
+            grey = to_grey8(image, self._expected.capture.bits, self.name)
+            self._expected.check(grey, self.name)
             yield Frame(grey, arrived_ns, index, f"{index:06d}", arrived_ns)
             index += 1
         if self._device is not None:
@@ -244,8 +269,8 @@ class V4l2Device:
         self._capture.release()  # type: ignore[attr-defined]
 
 
-def open_v4l2(number: int, settings: Capture, size: tuple[int, int]) -> V4l2Device | None:
-    """Open /dev/video<number> with the rig's settings, at the calibration's ``size``; None if it does not open."""
+def open_v4l2(number: int, settings: Capture, size: tuple[int, int] | None) -> V4l2Device | None:
+    """Open /dev/video<number> with the rig's settings, at ``size`` or its own; None if it does not open."""
     import cv2
 
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -253,9 +278,9 @@ def open_v4l2(number: int, settings: Capture, size: tuple[int, int]) -> V4l2Devi
     if not capture.isOpened():
         capture.release()
         return None
-    width, height = settings.size or size
-    capture.set(cv2.CAP_PROP_FRAME_WIDTH, width)
-    capture.set(cv2.CAP_PROP_FRAME_HEIGHT, height)
+    if size is not None:
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
     capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
     if settings.rate_hz is not None:
         capture.set(cv2.CAP_PROP_FPS, settings.rate_hz)
@@ -267,19 +292,21 @@ def open_v4l2(number: int, settings: Capture, size: tuple[int, int]) -> V4l2Devi
     return V4l2Device(capture)
 
 
-def open_source(text: str, rig: Rig, say: Say, seed: int = 0) -> Source:
+def open_source(text: str, rig: Rig | None, say: Say, seed: int = 0) -> Source:
     """The source that a person names: `0`, `/dev/video0`, a folder or glob of images, a video, a recording, `sim`.
+
+    Without a rig images may be of any size, all of the same, and there is nothing to simulate.
 
     Raises InputError when it is none of these, WorldError when a camera does not open.
     """
-    if text == "sim":
+    if text == "sim" and rig is not None:
         return Simulated(rig, seed)
     if text.isdigit() or text.startswith("/dev/video"):
         number = text.removeprefix("/dev/video")
         if not number.isdigit():
             raise InputError(f"{text}: expected a V4L2 camera such as 0 or /dev/video0")
-        size = (rig.camera.width, rig.camera.height)
-        return Camera(f"/dev/video{number}", lambda: open_v4l2(int(number), rig.capture, size), rig, say)
+        expected = _Expected(rig)
+        return Camera(f"/dev/video{number}", lambda: open_v4l2(int(number), expected.capture, expected.size), rig, say)
     path = Path(text)
     if path.is_dir():
         if any(path.glob("*.mcap")):
@@ -309,7 +336,7 @@ def refuse_endless(text: str, command: str) -> None:
         )
 
 
-def _images(name: str, paths: list[Path], rig: Rig, say: Say) -> ImageFiles:
+def _images(name: str, paths: list[Path], rig: Rig | None, say: Say) -> ImageFiles:
     images = sorted((path for path in paths if path.suffix.lower() in EXTENSIONS), key=natural_key)
     if not images:
         raise InputError(f"{name}: holds no images, expected files ending in {', '.join(EXTENSIONS)}")

@@ -1,55 +1,83 @@
-"""Planar calibration targets: what people name on the command line, and where their points are in an image."""
+"""Planar calibration targets: what people name on the command line, and where their points are on the board."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats
+from asterism.protocol.yaml_file import read_yaml
+
+KINDS = ("chessboard", "circles", "acircles", "charuco")
+LEAST_POINTS, MOST_POINTS = 6, 2000
+EXPECTED = (
+    "expected KIND:COLSxROWS:PITCH with KIND chessboard (inner corners), circles, acircles or charuco (squares), "
+    "PITCH in m; or leds:BOARD.yaml"
+)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Target:
-    """A board with ``columns`` x ``rows`` points, ``pitch`` m apart."""
+    """A flat board: ``points`` (n, 3) m, z = 0, in the order of its ``columns`` and ``rows`` (n and 1 for LEDs).
+
+    ``pitch`` m is the distance of neighbours; for acircles that of two rows, half of that of two columns; for charuco
+    the side of a square.
+    """
 
     kind: str
     columns: int
     rows: int
     pitch: float
+    points: Floats
+    name: str
+
+    @property
+    def size_m(self) -> float:
+        """The largest distance between two points."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
 
 
 def parse_target(text: str) -> Target:
-    """The target that ``KIND:COLSxROWS:PITCH`` names. Raises InputError."""
+    """The target that ``KIND:COLSxROWS:PITCH`` or ``leds:BOARD.yaml`` names. Raises InputError."""
     kind, _, rest = text.partition(":")
+    if kind == "leds" and rest:
+        return _led_board(Path(rest), text)
     size, _, pitch_text = rest.partition(":")
-    columns, _, rows = size.partition("x")
+    columns_text, _, rows_text = size.partition("x")
     try:
         pitch = float(pitch_text)
     except ValueError:
         pitch = 0.0
-    if kind != "chessboard" or not columns.isdigit() or not rows.isdigit() or not 0 < pitch < 10:
-        raise InputError(f"--target {text}: expected chessboard:COLSxROWS:PITCH, inner corners and m")
-    return Target(kind, int(columns), int(rows), pitch)
+    if kind not in KINDS or not columns_text.isdigit() or not rows_text.isdigit() or not pitch > 0.0:
+        raise InputError(f"--target {text}: {EXPECTED}")
+    columns, rows = int(columns_text), int(rows_text)
+    least = 3 if kind == "chessboard" else 2
+    if min(columns, rows) < least or columns * rows > MOST_POINTS:
+        raise InputError(f"--target {text}: {columns} x {rows}, expected {least} x {least} to {MOST_POINTS} points")
+    if pitch >= 1.0:
+        raise InputError(
+            f"--target {text}: {pitch:g} m from point to point; PITCH is in m: if you meant mm, say {pitch / 1e3:g}"
+        )
+    if kind == "charuco":
+        columns, rows = columns - 1, rows - 1
+    row, column = np.divmod(np.arange(columns * rows), columns)
+    if kind == "acircles":
+        column = 2 * column + row % 2
+    points = np.column_stack([column, row, np.zeros(len(row))]) * pitch
+    return Target(kind, columns, rows, pitch, points, text)
 
 
-def find_target(image: NDArray[np.uint8], target: Target) -> tuple[Floats, Floats] | None:
-    """The target's points in an image (h, w): object points (n, 3) m, z = 0, and image points (n, 2) px; None where it
-    is not found.
-    """
-    import cv2
-
-    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-    found, corners = cv2.findChessboardCornersSB(image, (target.columns, target.rows), flags=flags)
-    if not found:
-        return None
-    # The detector alone was seen to put single corners of tilted boards some px off (OpenCV 5.0).
-    grid = corners.reshape(target.rows, target.columns, 2)
-    spacing = min(float(np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min()) for axis in (0, 1))
-    window = (max(2, min(7, int(0.3 * spacing))),) * 2
-    corners = cv2.cornerSubPix(
-        image, corners, window, (-1, -1), (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
-    )
-    row, column = np.divmod(np.arange(target.columns * target.rows), target.columns)
-    points = np.column_stack([column, row, np.zeros(len(row))]) * target.pitch
-    return points, corners.reshape(-1, 2).astype(np.float64)
+def _led_board(path: Path, text: str) -> Target:
+    section = read_yaml(path)
+    section.only(("leds",))
+    places = np.array(section.rows("leds", 3, "x, y, z in m"))
+    if not LEAST_POINTS <= len(places) <= MOST_POINTS:
+        raise section.error("leds", f"{len(places)} of them, expected {LEAST_POINTS} to {MOST_POINTS}")
+    if np.ptp(places[:, 2]) > 1e-9:
+        raise section.error("leds", "they are not in one plane z = constant, expected a flat board")
+    places = places - [0.0, 0.0, places[0, 2]]
+    apart = np.linalg.norm(places[:, None] - places[None], axis=-1) + np.diag(np.full(len(places), np.inf))
+    if np.linalg.matrix_rank(places[:, :2] - places[:, :2].mean(axis=0), tol=0.02 * apart[apart < np.inf].max()) < 2:
+        raise section.error("leds", "they are on one line, expected them spread over the board")
+    return Target("leds", len(places), 1, float(apart.min()), places, text)

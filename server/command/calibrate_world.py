@@ -10,6 +10,7 @@ from rich.table import Table
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.rig import Rig, load_rig, parse_rig
+from asterism.server.board_points import find_points
 from asterism.server.command.progress import progress
 from asterism.server.command.say import say
 from asterism.server.observations import observe
@@ -17,7 +18,7 @@ from asterism.server.result_file import check_result_file, write_result_file
 from asterism.server.rewrite import relocate, rewrite
 from asterism.server.sources import open_source, refuse_endless
 from asterism.server.survey import match_frames, read_survey
-from asterism.server.targets import find_target, parse_target
+from asterism.server.targets import parse_target
 from asterism.server.warm_up import warm_up
 from asterism.server.world import WorldFit, fit_world, without_world
 from asterism.server.world_board import View, fit_board
@@ -124,9 +125,9 @@ def _from_target(options: argparse.Namespace, rig: Rig) -> tuple[Pose, Floats]:
     views, count = [], 0
     for frame in progress(source.frames(), source.length, "looking for the target"):
         count += 1
-        found = find_target(frame.image, target)
-        if found is not None:
-            views.append(View(frame.name, *found))
+        seen = find_points(frame.image, target)
+        if seen is not None:
+            views.append(View(frame.name, seen.points, seen.pixels))
     if not views:
         raise InputError(
             f"{options.source}: the target {options.target} is in none of its {count} frames, expected it whole in one "

@@ -1,0 +1,175 @@
+"""asterism calibrate camera: the lens model from views of a planar target."""
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from asterism.protocol.camera import parse_camera
+from asterism.protocol.errors import InputError, WorldError
+from asterism.protocol.keys import key_problem
+from asterism.server.board_points import Seen, find_points
+from asterism.server.camera_calibration import calibrate_camera, implausible, refuse_too_few
+from asterism.server.camera_file import camera_text, report_text
+from asterism.server.camera_fit import CameraFit, View, ends_inside
+from asterism.server.command.progress import progress
+from asterism.server.command.say import say
+from asterism.server.coverage import COLUMNS, ROWS, empty_parts, missing, points_by_cell, signature
+from asterism.server.frame import Frame
+from asterism.server.result_file import check_result_file, write_result_file
+from asterism.server.sources import Source, open_source
+from asterism.server.targets import Target, parse_target
+from asterism.server.warm_up import warm_up
+
+SAMPLES = 5  # images that are kept for a hint
+STILL_PX = 1.0  # between two frames of a live camera: the board is held still
+NEW_SHARE = 0.06  # of the image's width: a view differs so much from all before
+ENOUGH_VIEWS = 25  # of a live camera, if they cover the image
+
+
+def run(options: argparse.Namespace) -> int:
+    """Find the target, fit, write the calibration with report and plots, say how good it is."""
+    check_result_file(options.out, options.force)
+    if options.source == "sim":
+        raise InputError("sim: shows no calibration target; expected images, a film, a recording or a camera")
+    name = options.out.stem
+    if problem := key_problem(name):
+        raise InputError(f"{options.out}: the camera is named after the file, and {name!r} {problem}")
+    target = parse_target(options.target)
+    source = open_source(options.source, None, say)
+    if target.kind == "leds":
+        warm_up()
+    search = _Search(target)
+    _watch(source, search) if source.live else _look_through(source, search)
+    refuse_too_few(search.views, search.looked_at, target, options.source, search.samples)
+    width, height = search.size
+    fit, held_out = calibrate_camera(search.views, width, height, target, options.model, say)
+    camera = parse_camera(camera_text(fit.camera).replace("camera_name: camera", f"camera_name: {name}", 1), name)
+    remarks = missing(fit)
+    if ends_inside(camera):
+        remarks.append("the lens model ends inside the image: LEDs near its edge have no ray")
+    if hint := implausible(fit):
+        remarks.append(hint)
+    kept = write_result_file(options.out, camera_text(camera), options.force)
+    written = _write_beside(options.out, fit, report_text(fit, target.name, options.source, held_out, remarks))
+    _tell(fit, held_out, search)
+    for remark in remarks:
+        print(f"warning: {remark}")
+    print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else "") + f"; {', '.join(written)}")
+    return 0
+
+
+class _Search:
+    """The views found so far."""
+
+    def __init__(self, target: Target) -> None:
+        self.target = target
+        self.views: list[View] = []
+        self.looked_at = 0
+        self.samples: list[NDArray[np.uint8]] = []
+        self.size = (0, 0)
+
+    def look(self, frame: Frame) -> Seen | None:
+        """The target in a frame."""
+        self.looked_at += 1
+        self.size = frame.image.shape[1], frame.image.shape[0]
+        seen = find_points(frame.image, self.target)
+        if seen is None and len(self.samples) < SAMPLES:
+            self.samples.append(frame.image)
+        return seen
+
+
+def _look_through(source: Source, search: _Search) -> None:
+    for frame in progress(source.frames(), source.length, "looking for the target"):
+        seen = search.look(frame)
+        if seen is not None:
+            search.views.append(View(frame.name, seen))
+
+
+def _watch(source: Source, search: _Search) -> None:
+    """Take views from a live camera, each still and new, and say where to hold the board next; until Ctrl-C."""
+    say("show the board in all parts of the image, tilted to all sides, near and far; hold it still; end with Ctrl-C")
+    before: View | None = None
+    try:
+        for frame in _frames(source):
+            seen = search.look(frame)
+            view = None if seen is None else View(frame.name, seen)
+            still = view is not None and before is not None and _away(view, before) < STILL_PX
+            if view is not None and still and _is_new(view, search):
+                search.views.append(view)
+                counts = points_by_cell(search.views, *search.size)
+                parts = empty_parts(counts)
+                say(f"{len(search.views)} views; {_map(counts)}; " + (f"next: {parts[0]}" if parts else "all covered"))
+                if not parts and len(search.views) >= ENOUGH_VIEWS:
+                    break
+            before = view
+    except KeyboardInterrupt:
+        say("")
+
+
+def _frames(source: Source) -> Iterator[Frame]:
+    yield from source.frames()
+
+
+def _away(view: View, other: View) -> float:
+    return float(np.abs(signature(view) - signature(other)).max())
+
+
+def _is_new(view: View, search: _Search) -> bool:
+    return all(_away(view, other) > NEW_SHARE * search.size[0] for other in search.views)
+
+
+def _map(counts: NDArray[np.int64]) -> str:
+    """The parts of the image, row by row: # covered, . not yet."""
+    return " ".join("".join("#" if counts[row, k] >= 3 else "." for k in range(COLUMNS)) for row in range(ROWS))
+
+
+def _write_beside(out: Path, fit: CameraFit, report: str) -> list[str]:
+    """Report and plots beside the calibration; those of an older one give way."""
+    from asterism.server.camera_plots import coverage_png, residuals_png
+
+    files = {
+        out.with_name(f"{out.stem}.report.yaml"): report.encode(),
+        out.with_name(f"{out.stem}.coverage.png"): coverage_png(fit),
+        out.with_name(f"{out.stem}.residuals.png"): residuals_png(fit),
+    }
+    try:
+        for path, data in files.items():
+            path.write_bytes(data)
+    except OSError as error:
+        raise WorldError(f"{path}: cannot be written ({error.strerror})") from None
+    return [path.name for path in files]
+
+
+def _tell(fit: CameraFit, held_out: dict[str, float], search: _Search) -> None:
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=160)
+    console.print(
+        f"the target is in {len(search.views)} of {search.looked_at} images; {len(fit.views)} views used, "
+        f"{sum(len(off) for off in fit.residuals)} points, {fit.odd_points} points left out",
+        highlight=False,
+    )
+    for name, rms in fit.odd_views:
+        console.print(f"left out as a whole: {name}, {rms:.2f} px from the others' lens", highlight=False)
+    table = Table(box=None, header_style="bold", padding=(0, 1))
+    for name in ("model", "held out, px", ""):
+        table.add_column(name, justify="right" if "px" in name else "left", no_wrap=True)
+    for name, error in held_out.items():
+        table.add_row(name, f"{error:.4f}", "taken" if name == fit.camera.model else "")
+    console.print(table)
+    table = Table(box=None, header_style="bold", padding=(0, 1))
+    values = [*(fit.camera.matrix[at] for at in ((0, 0), (1, 1), (0, 2), (1, 2))), *fit.camera.distortion]
+    for name in ("", *fit.sigmas):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_row("value", *(f"{value:.6g}" for value in values))
+    table.add_row("sigma", *(f"{sigma:.2g}" for sigma in fit.sigmas.values()))
+    console.print(table)
+    console.print(
+        f"RMS distance of a point: {fit.total_rms_px:.3f} px fitted, {fit.total_held_out_px:.3f} px in views held out",
+        highlight=False,
+    )
