@@ -79,7 +79,7 @@ def _refined(image: NDArray[np.uint8], corners: Floats) -> tuple[Floats, Floats]
 
 def _spacings(corners: Floats) -> Floats:
     """Distance (n,) of every point to the nearest other, px."""
-    return np.asarray(cKDTree(corners).query(corners, k=2)[0][:, 1], np.float64)
+    return np.asarray(cKDTree(corners).query(corners, k=2)[0], np.float64)[:, 1]
 
 
 def _charuco(image: NDArray[np.uint8], target: Target) -> Seen | None:
@@ -106,7 +106,7 @@ def _charuco(image: NDArray[np.uint8], target: Target) -> Seen | None:
     tree = cKDTree(places_known)
     for k, place in enumerate(wanted):
         # The lens bends the board: what is near tells best.
-        near = tree.query(place, k=min(8, len(places_known)))[1]
+        near = np.asarray(tree.query(place, k=min(8, len(places_known)))[1])
         if np.linalg.norm(places_known[near[0]] - place) > 1.5 or np.ptp(places_known[near], axis=0).min() < 0.5:
             continue
         h, _ = cv2.findHomography(places_known[near], seen[near])
@@ -117,11 +117,11 @@ def _charuco(image: NDArray[np.uint8], target: Target) -> Seen | None:
     inside = (guesses > 3.0).all(axis=1) & (guesses[:, 0] < width - 4.0) & (guesses[:, 1] < height - 4.0)
     if inside.sum() < max(LEAST_CORNERS, LEAST_SHARE * len(wanted)):
         return None
-    corners, moved = _refined(image, guesses[inside])
+    refined, moved = _refined(image, guesses[inside])
     good = moved < FAR_OFF
     if good.sum() < max(LEAST_CORNERS, LEAST_SHARE * len(wanted)):
         return None
-    return Seen(target.points[inside][good], corners[good])
+    return Seen(target.points[inside][good], refined[good])
 
 
 def _crossing(quad: Floats) -> Floats:

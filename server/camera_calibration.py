@@ -102,6 +102,6 @@ def _refuse_parallel(fit: CameraFit) -> None:
         tilt = np.abs(tilts_deg(fit)).max(axis=0)
         raise InputError(
             f"the views: the board's tilts differ by {spread:.0f} degrees and reach {tilt[0]:.0f} and {tilt[1]:.0f} "
-            f"about x and y, which leaves the focal length open to {unsure:.1%}; expected views tilted by 20 to 45 degrees "
-            "about both axes"
+            f"about x and y, which leaves the focal length open to {unsure:.1%}; expected views tilted by 20 to 45 "
+            "degrees about both axes"
         )

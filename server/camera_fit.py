@@ -82,7 +82,8 @@ class CameraFit:
 def fit_camera(views: Sequence[View], width: int, height: int, model: str, name: str = "camera") -> CameraFit | None:
     """Lens and poses; bad points and bad views are left out. None where nothing fits."""
     size = _Size(name, width, height)
-    kept, odd_views, odd_points = list(views), [], 0
+    kept, odd_points = list(views), 0
+    odd_views: list[tuple[str, float]] = []
     state = _start(kept, size, model)
     if state is None:
         return None

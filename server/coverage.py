@@ -49,7 +49,7 @@ def points_by_cell(views: Sequence[View], width: int, height: int) -> NDArray[np
     counts, _, _ = np.histogram2d(
         pixels[:, 1], pixels[:, 0], bins=(ROWS, COLUMNS), range=((-0.5, height - 0.5), (-0.5, width - 0.5))
     )
-    return counts.astype(np.int64)
+    return np.asarray(counts, np.int64)
 
 
 def empty_parts(counts: NDArray[np.int64]) -> list[str]:
@@ -65,9 +65,8 @@ def empty_parts(counts: NDArray[np.int64]) -> list[str]:
 def tilts_deg(fit: CameraFit) -> Floats:
     """Tilt (v, 2) of the board in every view about the image's x and y axes, degrees."""
     normal = fit.rotations[:, :, 2] * np.sign(fit.rotations[:, 2, 2])[:, None]
-    return np.degrees(
-        np.column_stack([np.arctan2(-normal[:, 1], normal[:, 2]), np.arctan2(normal[:, 0], normal[:, 2])])
-    )
+    about_x, about_y = np.arctan2(-normal[:, 1], normal[:, 2]), np.arctan2(normal[:, 0], normal[:, 2])
+    return np.asarray(np.degrees(np.column_stack([about_x, about_y])), np.float64)
 
 
 def missing(fit: CameraFit) -> list[str]:

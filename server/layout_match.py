@@ -43,10 +43,10 @@ def match_layout(spots: Floats, layout: Floats) -> NDArray[np.int64] | None:
     if not len(board_groups) or not len(spot_groups):
         return None
     count = min(CANDIDATES, len(board_keys))
-    away, which = cKDTree(board_keys).query(spot_keys, k=count, distance_upper_bound=ALIKE)
-    spot_rows, place = np.nonzero(np.isfinite(np.atleast_2d(away.reshape(-1, count))))
-    board_rows = which.reshape(-1, count)[spot_rows, place]
-    spacing = float(cKDTree(board).query(board, k=2)[0][:, 1].min())
+    near = cKDTree(board_keys).query(spot_keys, k=np.arange(1, count + 1), distance_upper_bound=ALIKE)
+    spot_rows, place = np.nonzero(np.isfinite(near[0]))
+    board_rows = np.asarray(near[1])[spot_rows, place]
+    spacing = float(np.asarray(cKDTree(board).query(board, k=2)[0])[:, 1].min())
     tree = cKDTree(spots)
     best: list[tuple[int, float, NDArray[np.int64]]] = []
     for start in range(0, len(spot_rows), BATCH):
@@ -75,7 +75,7 @@ def _keyed(points: Floats, ordered: bool) -> tuple[NDArray[np.int64], Floats]:
     if len(points) <= WHOLE:
         groups = np.array(list(combinations(range(len(points)), 4)), np.int64)
     else:
-        near = cKDTree(points).query(points, k=min(NEIGHBOURS + 1, len(points)))[1]
+        near = np.asarray(cKDTree(points).query(points, k=min(NEIGHBOURS + 1, len(points)))[1])
         groups = np.unique(
             np.sort([[row[0], *some] for row in near.tolist() for some in combinations(row[1:], 3)], axis=1), axis=0
         )
@@ -145,7 +145,7 @@ def _polished(
     rms = np.inf
     for _ in range(3):
         places, unit = _mapped(h, board), spacing * float(_scale(h))
-        away, spot = tree.query(np.nan_to_num(places, nan=1e9))
+        away, spot = (np.asarray(found) for found in tree.query(np.nan_to_num(places, nan=1e9)))
         chosen = np.where(away < NEAR * unit, spot, -1)
         for twice in [s for s in np.unique(chosen[chosen >= 0]) if (chosen == s).sum() > 1]:
             rows = np.nonzero(chosen == twice)[0]
