@@ -158,7 +158,8 @@ def _parser() -> argparse.ArgumentParser:
         "simulate",
         "frames of simulated robots, with truth",
         "asterism simulate rig.yaml out --frames 300\n"
-        "asterism simulate rig.yaml out --hide 0.05 --glints 10 --seed 3\n",
+        "asterism simulate rig.yaml out --hide 0.05 --glints 10 --seed 3\n"
+        "asterism simulate rig.yaml film --hand alpha --frames 300\n",
     )
     simulate.add_argument("rig", metavar="RIG", help="rig.yaml")
     simulate.add_argument("out", metavar="OUT", type=Path, help="a new folder")
@@ -167,6 +168,9 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument("--seed", metavar="N", type=int, default=0, help="default: 0")
     simulate.add_argument(
         "--hide", metavar="P", type=_share, default=0.0, help="probability that an LED is hidden (default: 0)"
+    )
+    simulate.add_argument(
+        "--hand", metavar="ROBOT", help="this robot alone, shown by hand from all sides: a film to calibrate with"
     )
     simulate.add_argument("--glints", metavar="N", type=int, default=0, help="glints a frame (default: 0)")
 

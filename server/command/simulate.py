@@ -2,14 +2,16 @@
 
 import argparse
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import msgspec
 
 from asterism.protocol.errors import InputError, WorldError
-from asterism.protocol.rig import load_rig
+from asterism.protocol.rig import Rig, load_rig
 from asterism.server.command.progress import progress
+from asterism.server.hand_film import hand_pose
 from asterism.server.simulate import Look, Scene
 from asterism.server.sources import DEFAULT_RATE_HZ
 
@@ -24,7 +26,8 @@ def run(options: argparse.Namespace) -> int:
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: exists already, expected a new or empty folder")
     rate = options.rate or rig.capture.rate_hz or DEFAULT_RATE_HZ
-    scene = Scene(rig, options.seed, Look(hidden=options.hide, glints=options.glints))
+    shown = rig if options.hand is None else _alone(rig, options.hand)
+    scene = Scene(shown, options.seed, Look(hidden=options.hide, glints=options.glints))
     encoder = msgspec.json.Encoder()
     try:
         frames.mkdir(parents=True)
@@ -35,6 +38,9 @@ def run(options: argparse.Namespace) -> int:
         with (out / "truth.jsonl").open("wb") as truth_file:
             for index in progress(range(options.frames), options.frames, "simulating"):
                 truth = scene.truth(index, index / rate)
+                if options.hand is not None:
+                    pose = hand_pose(rig, shown.robots[0], index, options.frames, options.seed)
+                    truth = [replace(truth[0], T_camera_robot=pose)]
                 name = f"{index:05d}.png"
                 if not cv2.imwrite(str(frames / name), scene.render(index, truth)):
                     raise WorldError(f"{frames / name}: cannot be written; is the disk full?")
@@ -58,6 +64,14 @@ def run(options: argparse.Namespace) -> int:
         raise WorldError(f"{out}: cannot be written ({error.strerror})") from None
     print(f"{options.frames} frames in {frames}, their truth in {out / 'truth.jsonl'}")
     return 0
+
+
+def _alone(rig: Rig, robot: str) -> Rig:
+    """The rig with that robot only. Raises InputError if it is not there."""
+    ids = [each.id for each in rig.robots]
+    if robot not in ids:
+        raise InputError(f"--hand {robot}: is not in the rig, expected one of {', '.join(ids)}")
+    return replace(rig, robots=(rig.robot(robot),))
 
 
 def _camera_name(rig_path: Path, rig_text: str) -> str:
