@@ -12,6 +12,7 @@ COLUMNS, ROWS = 5, 4  # cells of the image
 LEAST_IN_CELL = 3  # points
 ENOUGH_POINTS = 3000  # of all views: more tell next to nothing
 LEAST_VIEWS, MOST_VIEWS = 20, 250
+SAME_PX = 0.5  # views that differ less are one
 LEAST_TILT_DEG = 15.0  # of the board against the image plane, about both axes
 LEAST_DEPTHS = 1.3  # farthest over nearest
 _ACROSS = ("left", "left", "middle", "right", "right")
@@ -29,7 +30,7 @@ def distinct(views: Sequence[View]) -> list[View]:
     signs = np.array([signature(view) for view in views])
     chosen = [0]
     away = np.abs(signs - signs[0]).max(axis=1)
-    while len(chosen) < most:
+    while len(chosen) < most and away.max() > SAME_PX:
         chosen.append(int(np.argmax(away)))
         away = np.minimum(away, np.abs(signs - signs[chosen[-1]]).max(axis=1))
     return [views[k] for k in sorted(chosen)]
