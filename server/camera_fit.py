@@ -26,6 +26,7 @@ CONVERGED = 1e-9  # relative, of the cost
 HUBER = 2.5  # sigmas
 ODD = 6.0  # sigmas, from which on a point is left out
 ODD_VIEW = 3.0  # times the median of all views' RMS, from which on a view is left out
+LEAST_ODD_PX = 0.1  # far views have more noise than near ones, and are not odd for that
 MOST_ODD_VIEWS = 1 / 3
 FOLDS = 10  # of views that are held out together, where there are more than twice as many
 STARTS = (1.0, 0.6, 1.6)  # of the focal length: where the closed form is misled by a strong lens
@@ -93,7 +94,7 @@ def fit_camera(views: Sequence[View], width: int, height: int, model: str, name:
         rms = np.array([_rms(off) for off in _residuals(state.camera, kept, state)])
         worst = int(np.argmax(rms))
         few = len(odd_views) + 1 > MOST_ODD_VIEWS * len(views) or len(kept) <= 4
-        if few or rms[worst] <= ODD_VIEW * np.median(rms):
+        if few or rms[worst] <= max(ODD_VIEW * np.median(rms), LEAST_ODD_PX):
             break
         odd_views.append((kept[worst].frame, float(rms[worst])))
         del kept[worst]
