@@ -1,6 +1,6 @@
 """asterism calibrate camera: the lens from views of boards, rendered by tests/boards.py with a known lens."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -17,6 +17,7 @@ from asterism.server.camera_calibration import calibrate_camera, implausible, re
 from asterism.server.camera_file import camera_text
 from asterism.server.camera_fit import CameraFit, View, dot_shift, ends_inside, fit_camera
 from asterism.server.coverage import distinct, missing
+from asterism.server.frame import Frame
 from asterism.server.images import read_image
 from asterism.server.layout_match import match_layout
 from asterism.server.targets import Target, parse_target
@@ -354,3 +355,39 @@ def test_the_real_chessboard() -> None:
     assert fit.total_rms_px < 0.25
     assert abs(fit.camera.focal_px / 535.916 - 1.0) < 0.01
     assert fit.total_held_out_px < 0.25
+
+
+def test_a_live_camera_gives_still_and_new_views_and_is_told_where_next(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from asterism.server.command import calibrate_camera as command
+
+    target = parse_target("chessboard:9x6:0.025")
+    held = seen_often(TRUE, target, rng, 60, reach=0.8)
+    # Moving, held, held a little longer; then on to the next place.
+    shown = [view.seen for other in held for view in (seen_by(TRUE, target, _shaken(rng), rng), other, other, other)]
+
+    class Live:
+        live, length = True, None
+
+        def frames(self) -> Iterator[Frame]:
+            for index in range(len(shown)):
+                yield Frame(np.zeros((480, 640), np.uint8), index, index, str(index))
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "find_points", lambda *_: shown[search.looked_at - 1])
+    search = command._Search(target)
+    command._watch(Live(), search)  # type: ignore[arg-type]
+    assert command.ENOUGH_VIEWS <= len(search.views) <= len(held)
+    assert all(any(view.seen is other.seen for other in held) for view in search.views)
+    told = capsys.readouterr().err
+    first = told[told.index("1 views; ") :].splitlines()[0]
+    assert "." in first
+    assert "next: " in first
+    assert told.rstrip().endswith("all covered")
+
+
+def _shaken(rng: np.random.Generator) -> Pose:
+    return Pose.from_matrix(
+        exp_rotation(rng.uniform(-0.3, 0.3, 3)), np.array([*rng.uniform(-0.2, 0, 2), rng.uniform(0.5, 0.8)])
+    )
