@@ -105,7 +105,7 @@ class Alternative(_message.Message):
     def __init__(self, pose: _Optional[_Union[Pose, _Mapping]] = ..., odds: _Optional[float] = ...) -> None: ...
 
 class RobotReport(_message.Message):
-    __slots__ = ("id", "state", "reason", "pose", "covariance", "leds", "rms_px", "led", "spot", "residual_x", "residual_y", "alternative", "points", "smoothed_by")
+    __slots__ = ("id", "state", "reason", "pose", "covariance", "leds", "rms_px", "led", "spot", "residual_x", "residual_y", "alternative", "points", "smoothed_by", "extrapolated")
     class PointsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -127,6 +127,7 @@ class RobotReport(_message.Message):
     ALTERNATIVE_FIELD_NUMBER: _ClassVar[int]
     POINTS_FIELD_NUMBER: _ClassVar[int]
     SMOOTHED_BY_FIELD_NUMBER: _ClassVar[int]
+    EXTRAPOLATED_FIELD_NUMBER: _ClassVar[int]
     id: str
     state: State
     reason: str
@@ -141,7 +142,8 @@ class RobotReport(_message.Message):
     alternative: Alternative
     points: _containers.MessageMap[str, Vector3]
     smoothed_by: str
-    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[State, str]] = ..., reason: _Optional[str] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., leds: _Optional[int] = ..., rms_px: _Optional[float] = ..., led: _Optional[_Iterable[int]] = ..., spot: _Optional[_Iterable[int]] = ..., residual_x: _Optional[_Iterable[float]] = ..., residual_y: _Optional[_Iterable[float]] = ..., alternative: _Optional[_Union[Alternative, _Mapping]] = ..., points: _Optional[_Mapping[str, Vector3]] = ..., smoothed_by: _Optional[str] = ...) -> None: ...
+    extrapolated: bool
+    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[State, str]] = ..., reason: _Optional[str] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., leds: _Optional[int] = ..., rms_px: _Optional[float] = ..., led: _Optional[_Iterable[int]] = ..., spot: _Optional[_Iterable[int]] = ..., residual_x: _Optional[_Iterable[float]] = ..., residual_y: _Optional[_Iterable[float]] = ..., alternative: _Optional[_Union[Alternative, _Mapping]] = ..., points: _Optional[_Mapping[str, Vector3]] = ..., smoothed_by: _Optional[str] = ..., extrapolated: bool = ...) -> None: ...
 
 class FrameReport(_message.Message):
     __slots__ = ("sequence", "exposed_ns", "arrived_ns", "solved_ns", "published_ns", "frame_id", "spots", "robots")
@@ -229,7 +231,14 @@ class RigRobot(_message.Message):
     def __init__(self, id: _Optional[str] = ..., leds: _Optional[_Iterable[_Union[Vector3, _Mapping]]] = ..., axis: _Optional[_Union[Vector3, _Mapping]] = ..., points: _Optional[_Mapping[str, Vector3]] = ...) -> None: ...
 
 class RigReport(_message.Message):
-    __slots__ = ("camera", "frame_id", "width", "height", "camera_matrix", "distortion_model", "distortion", "world_camera", "robots", "rig_yaml", "camera_yaml")
+    __slots__ = ("camera", "frame_id", "width", "height", "camera_matrix", "distortion_model", "distortion", "world_camera", "robots", "rig_yaml", "camera_yaml", "offset_yaml")
+    class OffsetYamlEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: str
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     FRAME_ID_FIELD_NUMBER: _ClassVar[int]
     WIDTH_FIELD_NUMBER: _ClassVar[int]
@@ -241,6 +250,7 @@ class RigReport(_message.Message):
     ROBOTS_FIELD_NUMBER: _ClassVar[int]
     RIG_YAML_FIELD_NUMBER: _ClassVar[int]
     CAMERA_YAML_FIELD_NUMBER: _ClassVar[int]
+    OFFSET_YAML_FIELD_NUMBER: _ClassVar[int]
     camera: str
     frame_id: str
     width: int
@@ -252,4 +262,5 @@ class RigReport(_message.Message):
     robots: _containers.RepeatedCompositeFieldContainer[RigRobot]
     rig_yaml: str
     camera_yaml: str
-    def __init__(self, camera: _Optional[str] = ..., frame_id: _Optional[str] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., camera_matrix: _Optional[_Iterable[float]] = ..., distortion_model: _Optional[str] = ..., distortion: _Optional[_Iterable[float]] = ..., world_camera: _Optional[_Union[Pose, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RigRobot, _Mapping]]] = ..., rig_yaml: _Optional[str] = ..., camera_yaml: _Optional[str] = ...) -> None: ...
+    offset_yaml: _containers.ScalarMap[str, str]
+    def __init__(self, camera: _Optional[str] = ..., frame_id: _Optional[str] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., camera_matrix: _Optional[_Iterable[float]] = ..., distortion_model: _Optional[str] = ..., distortion: _Optional[_Iterable[float]] = ..., world_camera: _Optional[_Union[Pose, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RigRobot, _Mapping]]] = ..., rig_yaml: _Optional[str] = ..., camera_yaml: _Optional[str] = ..., offset_yaml: _Optional[_Mapping[str, str]] = ...) -> None: ...

@@ -75,6 +75,8 @@ def encode_odometry(told: RobotPose) -> bytes:
     if told.smoothed_by:
         message.metadata.add(key="smoothed", value="true")
         message.metadata.add(key="filter", value=told.smoothed_by)
+    if told.extrapolated:
+        message.metadata.add(key="extrapolated", value="true")
     return to_bytes(message)
 
 
@@ -97,6 +99,7 @@ def decode_odometry(payload: bytes) -> RobotPose:
             exposed_ns=_nanoseconds(message.timestamp),
             published_ns=int(metadata["published_ns"]),
             smoothed_by=metadata.get("filter", ""),
+            extrapolated=metadata.get("extrapolated") == "true",
         )
     except (DecodeError, KeyError, ValueError, AssertionError) as error:
         raise InputError(f"odometry message: {len(payload)} bytes that are no pose of Asterism ({error})") from None
@@ -150,6 +153,7 @@ def encode_rig(rig: Rig) -> bytes:
         distortion=camera.distortion.tolist(),
         rig_yaml=rig.rig_text,
         camera_yaml=rig.camera_text,
+        offset_yaml=rig.offset_texts,
     )
     if rig.T_world_camera is not None:
         _set_pose(message.world_camera, rig.T_world_camera)

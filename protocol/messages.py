@@ -54,7 +54,8 @@ class RobotPose:
 
     ``pose`` is T_<frame_id>_<robot>; ``covariance`` (6, 6) in m and rad: x, y, z, rotation about x, y, z of the
     parent frame; ``state`` is TRACKED or TILT_AMBIGUOUS; ``smoothed_by`` names the filter that joined the pose to those
-    of frames before, empty where the pose rests on this frame alone.
+    of frames before, empty where the pose rests on this frame alone; ``extrapolated``: the rig corrects Z, but no
+    surveyed pose was near, so the correction is faded or cut off.
     """
 
     robot: str
@@ -68,6 +69,7 @@ class RobotPose:
     exposed_ns: int
     published_ns: int
     smoothed_by: str = field(default="", kw_only=True)
+    extrapolated: bool = field(default=False, kw_only=True)
 
     @property
     def position(self) -> Floats:

@@ -1,5 +1,6 @@
 """rig.yaml: one camera and its robots, read strictly into values that never change."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -9,7 +10,9 @@ from asterism.protocol.camera import Camera, load_camera, parse_camera
 from asterism.protocol.constellation import LEDS, Confusion, confusions, extent, plane_of
 from asterism.protocol.geometry import Floats, Pose, frozen_array
 from asterism.protocol.keys import key_problem
+from asterism.protocol.led_offset import LedOffset, parse_offset
 from asterism.protocol.yaml_file import Section, parse_yaml, read_yaml
+from asterism.protocol.z_correction import ZCorrection, read_correction
 
 ESTIMATORS = ("edge-model", "grey-square", "clip", "zernike")  # the first is the default
 COPLANAR = 0.02  # of the extent: LEDs farther from their common plane are refused
@@ -36,6 +39,7 @@ class Robot:
     led_radius: float | None = None
     points: dict[str, Floats] = field(default_factory=dict)  # name -> (3,)
     normal: NormalPrior | None = None
+    led_offset: LedOffset | None = None
     T_robot_plane: Pose = field(init=False)
     leds_plane: Floats = field(init=False)  # (6, 3); third column: distance from the common plane
 
@@ -74,8 +78,10 @@ class Rig:
     centre: str = ESTIMATORS[0]
     capture: Capture = field(default_factory=Capture)
     T_world_camera: Pose | None = None
+    z_correction: ZCorrection | None = None
     rig_text: str = ""
     camera_text: str = ""
+    offset_texts: Mapping[str, str] = field(default_factory=dict)  # by the name that led.offset gives
 
     @property
     def parent_frame(self) -> str:
@@ -90,8 +96,12 @@ class Rig:
         raise KeyError(robot_id)
 
 
+# The text of a file that a led.offset names; the section is for sentences.
+_OffsetText = Callable[[Section, str], str]
+
+
 def load_rig(path: str | Path) -> Rig:
-    """Read a rig.yaml and the camera file it names.
+    """Read a rig.yaml and the files it names: camera, LED offsets.
 
     Raises InputError with file, key, what was found and what is accepted.
     """
@@ -100,17 +110,32 @@ def load_rig(path: str | Path) -> Rig:
     camera_path = path.parent / section.text("camera")
     if not camera_path.exists():
         raise section.error("camera", f"there is no file {camera_path}, expected a camera_info calibration file")
-    return _rig(section, load_camera(camera_path), path.read_text(), camera_path.read_text())
+
+    def offset_text(led: Section, name: str) -> str:
+        file = path.parent / name
+        if not file.is_file():
+            raise led.error("offset", f"there is no file {file}, expected one that asterism calibrate offset wrote")
+        read_yaml(file)
+        return file.read_text(encoding="utf-8")
+
+    camera = load_camera(camera_path)
+    return _rig(section, camera, path.read_text(encoding="utf-8"), camera_path.read_text(encoding="utf-8"), offset_text)
 
 
-def parse_rig(rig_text: str, camera_text: str, name: str) -> Rig:
-    """A rig from the texts of both files, as a recording keeps them. Raises InputError as `load_rig` does."""
+def parse_rig(rig_text: str, camera_text: str, name: str, offset_texts: Mapping[str, str] | None = None) -> Rig:
+    """A rig from the texts of its files, as a recording keeps them. Raises InputError as `load_rig` does."""
     section = parse_yaml(rig_text, f"{name}: rig.yaml")
-    return _rig(section, parse_camera(camera_text, f"{name}: camera.yaml"), rig_text, camera_text)
+
+    def offset_text(led: Section, file: str) -> str:
+        if offset_texts is None or file not in offset_texts:
+            raise led.error("offset", f"{file} is not at hand, expected it to be kept with the rig")
+        return offset_texts[file]
+
+    return _rig(section, parse_camera(camera_text, f"{name}: camera.yaml"), rig_text, camera_text, offset_text)
 
 
-def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str) -> Rig:
-    section.only(("camera", "range", "masks", "centre", "capture", "world", "robots"))
+def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str, offset_text: _OffsetText) -> Rig:
+    section.only(("camera", "range", "masks", "centre", "capture", "world", "z_correction", "robots"))
     section.text("camera")
     T_world_camera = _world(section.section("world")) if "world" in section else None
     if T_world_camera is not None and camera.name == "world":
@@ -118,7 +143,14 @@ def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str) -> R
     inner = section.section("robots")
     if not inner.values:
         raise section.error("robots", "is empty, expected at least one robot")
-    robots = tuple(_robot(name, part, T_world_camera) for name, part in inner.sections().items())
+    offset_texts: dict[str, str] = {}
+
+    def remembered(led: Section, file: str) -> str:
+        if file not in offset_texts:
+            offset_texts[file] = offset_text(led, file)
+        return offset_texts[file]
+
+    robots = tuple(_robot(name, part, T_world_camera, remembered) for name, part in inner.sections().items())
     _refuse_lookalikes(inner, robots)
     return Rig(
         camera=camera,
@@ -128,8 +160,10 @@ def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str) -> R
         centre=section.text("centre", ESTIMATORS) if "centre" in section else ESTIMATORS[0],
         capture=_capture(section.section("capture")) if "capture" in section else Capture(),
         T_world_camera=T_world_camera,
+        z_correction=read_correction(section.section("z_correction")) if "z_correction" in section else None,
         rig_text=rig_text,
         camera_text=camera_text,
+        offset_texts=offset_texts,
     )
 
 
@@ -180,15 +214,15 @@ def _world(section: Section) -> Pose:
     return Pose(np.array(position), np.array(quat))
 
 
-def _robot(name: str, section: Section, T_world_camera: Pose | None) -> Robot:
+def _robot(name: str, section: Section, T_world_camera: Pose | None, offset_text: _OffsetText) -> Robot:
     if problem := key_problem(name):
         raise section.error(None, f"the robot's id {name!r} {problem}; it becomes part of a zenoh key")
     section.only(("leds", "led", "points", "normal"))
     leds = _leds(section)
-    axis, radius = np.array([0.0, 0.0, 1.0]), None
+    axis, radius, offset = np.array([0.0, 0.0, 1.0]), None, None
     if "led" in section:
         led = section.section("led")
-        led.only(("radius", "axis"))
+        led.only(("radius", "axis", "offset"))
         if "axis" in led:
             axis = _direction(led, "axis", "the emission axis in the robot's frame")
         if "radius" in led:
@@ -197,6 +231,9 @@ def _robot(name: str, section: Section, T_world_camera: Pose | None) -> Robot:
                 raise led.error(
                     "radius", f"{radius:g}, expected m, well below the LEDs' distances ({extent(leds):g} m)"
                 )
+        if "offset" in led:
+            file = led.text("offset")
+            offset = parse_offset(offset_text(led, file), f"{section.file}: {file}")
     normal = plane_of(leds, axis)[0].rotation[:, 2]
     if normal @ axis < 0.2:
         key = "led.axis" if "led" in section and "axis" in section.section("led") else "leds"
@@ -223,7 +260,7 @@ def _robot(name: str, section: Section, T_world_camera: Pose | None) -> Robot:
         if within > 180:
             raise inner.error("within_deg", f"{within:g}, expected at most 180")
         prior = NormalPrior(frozen_array(direction, 3), float(np.radians(within)))
-    return Robot(name, leds, axis, radius, points, prior)
+    return Robot(name, leds, axis, radius, points, prior, offset)
 
 
 def _direction(section: Section, key: str, what: str) -> Floats:

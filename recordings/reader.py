@@ -14,6 +14,7 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.messages import Kind, Message
 from asterism.protocol.rig import Rig, parse_rig
 from asterism.recordings.index import begins_as_mcap, is_complete
+from asterism.recordings.series import OFFSET_KEY
 
 
 def recording_files(path: Path) -> tuple[list[Path], list[Path]]:
@@ -49,7 +50,10 @@ class Recording:
     def rig(self) -> Rig:
         """The rig that was in force. Raises InputError if the recording does not hold it."""
         try:
-            return parse_rig(self.metadata["rig.yaml"], self.metadata["camera.yaml"], str(self.path))
+            offsets = {
+                key.removeprefix(OFFSET_KEY): text for key, text in self.metadata.items() if key.startswith(OFFSET_KEY)
+            }
+            return parse_rig(self.metadata["rig.yaml"], self.metadata["camera.yaml"], str(self.path), offsets)
         except KeyError as missing:
             raise InputError(f"{self.path}: holds no {missing}; it was not recorded by asterism") from None
 

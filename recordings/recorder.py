@@ -31,7 +31,7 @@ from asterism.protocol.errors import WorldError
 from asterism.protocol.geometry import Pose
 from asterism.protocol.messages import ANNOTATIONS, CALIBRATION, FRAME_REPORT, IMAGE, TRANSFORMS, Message
 from asterism.protocol.rig import Rig
-from asterism.recordings.series import Series
+from asterism.recordings.series import OFFSET_KEY, Series
 
 POSES_SPLIT_BYTES = 512 << 20
 FRAMES_SPLIT_BYTES = 2 << 30
@@ -73,6 +73,7 @@ class Recorder:
             "started": started.isoformat(),
             "rig.yaml": rig.rig_text,
             "camera.yaml": rig.camera_text,
+            **{f"{OFFSET_KEY}{name}": text for name, text in rig.offset_texts.items()},
         }
         try:
             with (self.folder / RESERVE).open("wb") as reserve:

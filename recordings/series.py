@@ -12,6 +12,7 @@ from asterism.recordings.index import rebuild_index
 
 LIBRARY = f"asterism {VERSION}"
 CHUNK_BYTES = 1 << 20
+OFFSET_KEY = "led.offset: "  # of the metadata, before the name of a file that the rig's led.offset gives
 
 
 class _Output:

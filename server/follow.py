@@ -11,6 +11,7 @@ from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
 from asterism.server.fit import LEDS, SYSTEMATIC_PX
 from asterism.server.planar import NO_SOLUTION, refine_pose
+from asterism.server.spot_shift import has_offset, spot_shifts
 
 LEAST_LEDS = 4
 BRIGHTNESS_STEP = 2.5  # a LED is not that much brighter or dimmer than it was a frame ago
@@ -52,14 +53,16 @@ def _fit(
 
 
 @compiled
-def follow(flat, rays, variances, heights, free, layouts, rotations, ts, gates, brightness, focal, assignment, costs):
+def follow(
+    flat, rays, variances, heights, free, layouts, optics, rotations, ts, gates, brightness, focal, assignment, costs
+):  # fmt: skip
     """Match predicted robots to spots.
 
     ``flat`` (n, 2) ideal px, y up; ``rays`` (n, 2); ``variances`` (n,) of the rays; ``heights`` (n,); ``free`` (n,);
-    ``layouts`` (m, 6, 3) m, ``rotations`` (m, 3, 3) and ``ts`` (m, 3) the predicted T_camera_plane, ``gates`` (m,) px,
-    ``brightness`` (m,) grey levels. Fills ``assignment`` (m, 6) with spots (-1: not visible), ``costs`` (m,) with
-    squared sigmas of SYSTEMATIC_PX (NO_SOLUTION where the robot was not found), updates ``rotations`` and ``ts`` of
-    robots that were found, and takes their spots out of ``free``.
+    ``layouts`` (m, 6, 3) m, ``optics`` (m, OPTICS) as in `spot_shift`, ``rotations`` (m, 3, 3) and ``ts`` (m, 3) the
+    predicted T_camera_plane, ``gates`` (m,) px, ``brightness`` (m,) grey levels. Fills ``assignment`` (m, 6) with spots
+    (-1: not visible), ``costs`` (m,) with squared sigmas of SYSTEMATIC_PX (NO_SOLUTION where the robot was not found),
+    updates ``rotations`` and ``ts`` of robots that were found, and takes their spots out of ``free``.
     """
     n, robots = flat.shape[0], layouts.shape[0]
     order = np.argsort(flat[:, 0])
@@ -67,8 +70,14 @@ def follow(flat, rays, variances, heights, free, layouts, rotations, ts, gates, 
     wanted_by = np.full(n, -1)
     wanted_at = np.full(n, np.inf)
     systematic2 = (SYSTEMATIC_PX / focal) ** 2
+    shifts = np.zeros((LEDS, 2))
     for robot in range(robots):
         gate = gates[robot]
+        # The perspective's shift is far below the gate, that of the LEDs' optics is not.
+        if has_offset(optics[robot]):
+            spot_shifts(rotations[robot], ts[robot], layouts[robot], optics[robot], shifts)
+        else:
+            shifts[:, :] = 0.0
         for led in range(LEDS):
             assignment[robot, led] = -1
             x, y, z = ts[robot, 0], ts[robot, 1], ts[robot, 2]
@@ -78,7 +87,7 @@ def follow(flat, rays, variances, heights, free, layouts, rotations, ts, gates, 
                 z += rotations[robot, 2, j] * layouts[robot, led, j]
             if not z > 0.0:
                 continue
-            px, py = focal * x / z, -focal * y / z
+            px, py = focal * (x / z + shifts[led, 0]), -focal * (y / z + shifts[led, 1])
             best, best2 = -1, gate * gate
             place = np.searchsorted(xs, px - gate)
             while place < n and xs[place] <= px + gate:

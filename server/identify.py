@@ -96,8 +96,8 @@ def _follow(
     assignment, costs = np.full((len(index), LEDS), -1), np.empty(len(index))
     layouts = plan.layouts[index]
     follow(
-        seen.flat, seen.rays, seen.variances, seen.heights, free, layouts, rotations, ts, gates, heights,
-        plan.focal, assignment, costs,
+        seen.flat, seen.rays, seen.variances, seen.heights, free, layouts, plan.optics[index], rotations, ts,
+        gates, heights, plan.focal, assignment, costs,
     )  # fmt: skip
     gather_missing(
         seen.flat, seen.heights, free, layouts, rotations, ts, costs, heights, plan.focal, GATHER_PX, assignment,

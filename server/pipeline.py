@@ -1,9 +1,11 @@
 """The chain: Frame -> Blobs -> Matches -> PoseEstimate | Lost -> FrameResult. Read this first."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.protocol.camera import check_image_size
 from asterism.protocol.errors import InputError
+from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import Rig
 from asterism.server.blobs import Blobs, find_blobs
 from asterism.server.centre import refine_leaning
@@ -79,6 +81,7 @@ def _answers(
         known.seen_ns, known.rotations, known.ts, known.velocities, known.turns, known.other_rotations,
         known.numbers, best, odds, positions, quaternions, parent_covariances,
     )  # fmt: skip
+    extrapolated = _correct_z(plan, positions, parent_covariances)
     # What can be done for all robots at once is; Python is slow at small arrays.
     spots, left, rms = np.empty((m, LEDS), np.int64), np.empty((m, LEDS, 2)), np.empty(m)
     tell_whose(
@@ -102,11 +105,27 @@ def _answers(
             residuals_px=left[k] if lit is ALL_LEDS else left[k, list(lit)],
             rms_px=rms_k,
             alternative=Alternative(positions[k, 1], quaternions[k, 1], odd) if odd < SURE else None,
+            extrapolated=extrapolated is not None and bool(extrapolated[k]),
         )
     return {
         robot.id: found[index] if index in found else _lost(matches.doubts.get(index), len(seen.rows))
         for index, robot in enumerate(plan.rig.robots)
     }
+
+
+def _correct_z(plan: Plan, positions: Floats, covariances: Floats) -> NDArray[np.bool_] | None:
+    """Add the rig's correction of the camera's Z to both candidates' positions (m, 2, 3) in the parent frame, and its
+    variance to the chosen one's covariances (m, 6, 6); returns whose was extrapolated.
+    """
+    correction = plan.rig.z_correction
+    if correction is None:
+        return None
+    m = len(positions)
+    found = correction.at((positions.reshape(-1, 3) - plan.eye) @ plan.view)
+    along = plan.view[:, 2]
+    positions += found.dz.reshape(m, 2, 1) * along
+    covariances[:, :3, :3] += found.variances[::2, None, None] * np.outer(along, along)
+    return found.extrapolated[::2]
 
 
 def _lost(doubt: str | None, spots: int) -> Lost:

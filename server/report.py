@@ -29,6 +29,7 @@ def report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int, publishe
                 exposed_ns=result.exposed_ns,
                 published_ns=published_ns,
                 smoothed_by=answer.smoothed_by,
+                extrapolated=answer.extrapolated,
             )
             key = keys.odometry(rig.camera.name, robot_id)
             messages.append(
@@ -72,6 +73,7 @@ def frame_report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int, pu
         entry.leds = len(answer.leds)
         entry.rms_px = answer.rms_px
         entry.smoothed_by = answer.smoothed_by
+        entry.extrapolated = answer.extrapolated
         entry.led.extend(answer.leds)
         entry.spot.extend(answer.spots)
         entry.residual_x.extend(answer.residuals_px[:, 0].tolist())

@@ -181,6 +181,11 @@ def _flow(value: Any) -> str:
         return "[" + ", ".join(_flow(item) for item in value) + "]"
     if isinstance(value, str):
         return _scalar(value)
+    return number(value)
+
+
+def number(value: float) -> str:
+    """A number as YAML files that people read have it: no exponent, no more digits than it takes."""
     return np.format_float_positional(value, trim="0")
 
 

@@ -1,8 +1,9 @@
 """A simulated camera above a simulated surface: the rig's robots drive on it, and every pose is known.
 
-Every LED is a disc whose points are traced through the full camera model; each point's light is spread by a Gaussian
-point spread over the areas of the pixels (differences of error functions, exact), dimmed by the cosine of the viewing
-angle, then gets shot noise, read noise, clipping and rounding. Nothing here is shared with the estimators.
+Every LED is a disc, where the rig's `led.offset` says that it is seen, whose points are traced through the full camera
+model; each point's light is spread by a Gaussian point spread over the areas of the pixels (differences of error
+functions, exact), dimmed by the cosine of the viewing angle, then gets shot noise, read noise, clipping and rounding.
+Nothing here is shared with the estimators.
 Frames depend on the scene and their index alone, so any frame can be rendered on its own.
 """
 
@@ -133,9 +134,12 @@ class Scene:
                 facing = -float(axis @ led) / float(np.linalg.norm(led))
                 if not entry.lit[number] or facing <= 0.0 or led[2] <= 0.0:
                     continue
+                seen = led
+                if robot.led_offset is not None:
+                    seen = led + float(robot.led_offset.shift(np.array(max(1.0 - facing**2, 0.0)))) * axis
                 level = look.brightness * float(self.led_brightness[k, number]) * facing
                 x0, y0, size_x, size_y = trace_disc(
-                    self.lens, led, normal, radius, look.psf_px, *self._quadrature, light
+                    self.lens, seen, normal, radius, look.psf_px, *self._quadrature, light
                 )
                 patch = level * light[:size_y, :size_x]
                 _expose(image, patch, x0, y0, look, rng)

@@ -66,6 +66,7 @@ class PoseEstimate:
     (6, 6) in m and rad: x, y, z, rotation about x, y, z of the parent frame. ``leds`` (k,) are the LEDs it rests on,
     ``spots`` (k,) the rows of the frame's blobs they are, ``residuals_px`` (k, 2) observed minus predicted.
     ``smoothed_by`` names the filter (`smooth`) that changed pose and covariance; empty: they rest on this frame.
+    ``extrapolated``: the rig corrects Z, but no surveyed pose was near: the correction is faded or cut off.
     """
 
     position: Floats  # (3,) m
@@ -77,6 +78,7 @@ class PoseEstimate:
     rms_px: float
     alternative: Alternative | None
     smoothed_by: str = ""
+    extrapolated: bool = False
 
     @property
     def pose(self) -> Pose:

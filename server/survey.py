@@ -19,7 +19,7 @@ from asterism.protocol.yaml_file import Section, describe
 _LINE_KEYS = ("frame", "robots", "exposed_ns", "lost")
 _ROBOT_KEYS = (
     *("id", "position", "orientation"),
-    *("state", "covariance", "leds", "rms_px", "alternative", "visible"),
+    *("state", "covariance", "leds", "rms_px", "alternative", "visible", "extrapolated", "smoothed", "filter"),
 )
 
 

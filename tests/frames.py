@@ -3,7 +3,7 @@
 And what may be done to camera, rig and image together without changing what is true.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -42,8 +42,14 @@ def disc_image(camera: Camera, centre: Floats, normal: Floats, radius: float) ->
     return centroid, float(a), float(b), float(np.arctan2(axes[1, 1], axes[0, 1]))
 
 
-def draw(rig: Rig, poses: Mapping[str, Pose], level: float = LEVEL) -> Canvas:
-    """The light of robots at T_camera_robot on a dark background; LEDs dim with the cosine of the viewing angle."""
+def draw(
+    rig: Rig, poses: Mapping[str, Pose], level: float = LEVEL,
+    apparent: Callable[[Floats, Floats], Floats] | None = None,
+) -> Canvas:  # fmt: skip
+    """The light of robots at T_camera_robot on a dark background; LEDs dim with the cosine of the viewing angle.
+
+    ``apparent`` says where an LED at (3,) with axis (3,), camera's frame, m, is seen; without it, where it is.
+    """
     canvas = Canvas.of(rig.camera.height, rig.camera.width)
     for name, pose in poses.items():
         robot = rig.robot(name)
@@ -51,7 +57,8 @@ def draw(rig: Rig, poses: Mapping[str, Pose], level: float = LEVEL) -> Canvas:
         for led in pose.map(robot.leds):
             facing = -float(normal @ led) / float(np.linalg.norm(led))
             assert facing > 0, f"{name} shows its back"
-            (x, y), a, b, angle = disc_image(rig.camera, led, normal, robot.led_radius or 0.0025)
+            place = led if apparent is None else apparent(led, pose.rotation @ robot.axis)
+            (x, y), a, b, angle = disc_image(rig.camera, place, normal, robot.led_radius or 0.0025)
             canvas.ellipse(float(x), float(y), a, b, angle, level=level * facing)
     return canvas
 

@@ -10,11 +10,11 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType
 
 from asterism.protocol import keys
-from asterism.protocol.codec import decode_image, encode_rig
+from asterism.protocol.codec import decode_image, decode_rig, encode_rig
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.geometry import Pose
 from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message
-from asterism.protocol.rig import load_rig
+from asterism.protocol.rig import load_rig, parse_rig
 from asterism.recordings import series
 from asterism.recordings.compare import compare
 from asterism.recordings.index import is_complete, rebuild_index
@@ -52,6 +52,21 @@ def record(parent: Path, frames: Made, every: int = 1) -> Recorder:
         recorder.write(messages, frame.image, frame.exposed_ns, frame.index)
     recorder.close({"frames": str(len(frames))})
     return recorder
+
+
+def test_the_files_that_the_rig_names_are_kept(tmp_path: Path, frames: Made) -> None:
+    text = DEMO_RIG.read_text().replace("led: {", "led: {offset: glass/led.yaml, ", 1)
+    offset = "axial_shift: [-0.002, 0.0003]\nup_to_deg: 50\n"
+    rig = parse_rig(text, RIG.camera_text, "demo", {"glass/led.yaml": offset})
+    recorder = Recorder(tmp_path, rig, "test", 1, wait=True)
+    frame, messages = frames[0]
+    recorder.write(messages, frame.image, frame.exposed_ns, frame.index)
+    recorder.close({})
+    kept = Recording(recorder.folder).rig()
+    assert kept.offset_texts == {"glass/led.yaml": offset}
+    assert [robot.led_offset is None for robot in kept.robots] == [False, True, True, True, True]
+    report = decode_rig(encode_rig(rig))
+    assert dict(report.offset_yaml) == {"glass/led.yaml": offset}
 
 
 def test_what_was_written_is_read_byte_for_byte(tmp_path: Path, frames: Made) -> None:

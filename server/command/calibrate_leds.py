@@ -44,8 +44,8 @@ def run(options: argparse.Namespace) -> int:
     robot = rig.robot(options.robot)
     leds = found.adjusted.leds.round(DECIMALS) + 0.0
     text = rewrite(rig.rig_text, {("robots", options.robot, "leds"): leds.tolist()}, options.rig)
+    parse_rig(text, rig.camera_text, str(options.out), rig.offset_texts)
     text = relocate(text, Path(options.rig), options.out)
-    parse_rig(text, rig.camera_text, str(options.out))
     kept = write_result_file(options.out, text, options.force)
     _tell(found, moved_by(found.adjusted.leds, robot.leds), tilt_spread_deg(robot, found.adjusted.views))
     normal = robot.T_robot_plane.rotation[:, 2]

@@ -17,7 +17,8 @@ from asterism.server.observations import observe
 from asterism.server.result_file import check_result_file, write_result_file
 from asterism.server.rewrite import relocate, rewrite
 from asterism.server.sources import open_source, refuse_endless
-from asterism.server.survey import match_frames, read_survey
+from asterism.server.survey import read_survey
+from asterism.server.surveyed import pair
 from asterism.server.targets import parse_target
 from asterism.server.warm_up import warm_up
 from asterism.server.world import WorldFit, fit_world, without_world
@@ -41,8 +42,9 @@ def run(options: argparse.Namespace) -> int:
         f"+- {_row(np.degrees(sigmas[3:]), 3)} degrees"
     )
     world = {"position": position.tolist(), "orientation": orientation.tolist()}
-    text = relocate(rewrite(rig.rig_text, {("world",): world}, options.rig), Path(options.rig), options.out)
-    parse_rig(text, rig.camera_text, str(options.out))
+    text = rewrite(rig.rig_text, {("world",): world}, options.rig)
+    parse_rig(text, rig.camera_text, str(options.out), rig.offset_texts)
+    text = relocate(text, Path(options.rig), options.out)
     kept = write_result_file(options.out, text, options.force)
     print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else ""))
     return 0
@@ -57,19 +59,10 @@ def _from_survey(options: argparse.Namespace, rig: Rig) -> tuple[Pose, Floats]:
         (frame.name, sightings)
         for frame, sightings in progress(observe(source.frames(), rig), source.length, "localizing")
     ]
-    matched = match_frames(survey, [name for name, _ in seen], source.name)
-    for remark in matched.remarks:
+    paired = pair(survey, seen, source.name)
+    for remark in paired.remarks:
         say(remark)
-    pairs, missing = [], 0
-    for name, sightings in seen:
-        line = matched.frames.get(name)
-        if line is None:
-            continue
-        here = [(s, line.robots[s.robot]) for s in sightings if s.robot in line.robots]
-        missing += len(line.robots) - len(here)
-        pairs += here
-    if missing:
-        say(f"{missing} surveyed poses belong to robots that were not located in their frame; left out")
+    pairs = paired.pairs
     fit = fit_world(pairs, str(options.truth))
     _tell(fit)
     axes = [fit.T_world_camera.rotation @ s.pose.rotation @ rig.robot(s.robot).axis for s, _ in pairs]

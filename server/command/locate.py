@@ -70,6 +70,8 @@ def line(frame: Frame, result: FrameResult) -> dict[str, Any]:
         }
         if answer.smoothed_by:
             told |= {"smoothed": True, "filter": answer.smoothed_by}
+        if answer.extrapolated:
+            told["extrapolated"] = True
         robots.append(told)
     return {"frame": frame.name, "exposed_ns": frame.exposed_ns, "robots": robots, "lost": lost}
 

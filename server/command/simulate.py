@@ -10,6 +10,7 @@ import msgspec
 
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.rig import Rig, load_rig
+from asterism.protocol.yaml_file import parse_yaml
 from asterism.server.command.progress import progress
 from asterism.server.hand_film import hand_pose
 from asterism.server.simulate import Look, Scene
@@ -25,6 +26,7 @@ def run(options: argparse.Namespace) -> int:
     frames = out / "frames"
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: exists already, expected a new or empty folder")
+    files = _files(Path(options.rig), rig)
     rate = options.rate or rig.capture.rate_hz or DEFAULT_RATE_HZ
     shown = rig if options.hand is None else _alone(rig, options.hand)
     scene = Scene(shown, options.seed, Look(hidden=options.hide, glints=options.glints))
@@ -32,9 +34,10 @@ def run(options: argparse.Namespace) -> int:
     try:
         frames.mkdir(parents=True)
         (out / "rig.yaml").write_text(rig.rig_text)
-        camera_file = out / _camera_name(Path(options.rig), rig.rig_text)
-        camera_file.parent.mkdir(parents=True, exist_ok=True)
-        camera_file.write_text(rig.camera_text)
+        for name, text in files.items():
+            file = out / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(text)
         with (out / "truth.jsonl").open("wb") as truth_file:
             for index in progress(range(options.frames), options.frames, "simulating"):
                 truth = scene.truth(index, index / rate)
@@ -74,11 +77,12 @@ def _alone(rig: Rig, robot: str) -> Rig:
     return replace(rig, robots=(rig.robot(robot),))
 
 
-def _camera_name(rig_path: Path, rig_text: str) -> str:
-    """What the rig calls its camera file, made relative to the rig's copy."""
-    from asterism.protocol.yaml_file import parse_yaml
-
-    name = parse_yaml(rig_text, str(rig_path)).text("camera")
-    if Path(name).is_absolute() or ".." in Path(name).parts:
-        raise InputError(f"{rig_path}: camera: {name}, expected a file beside the rig to copy it")
-    return name
+def _files(rig_path: Path, rig: Rig) -> dict[str, str]:
+    """The files that the rig names, by the names it gives them, relative to the rig's copy."""
+    camera = parse_yaml(rig.rig_text, str(rig_path)).text("camera")
+    files = {camera: rig.camera_text, **rig.offset_texts}
+    for name in files:
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            key = "camera" if name == camera else "led.offset"
+            raise InputError(f"{rig_path}: {key}: {name}, expected a file beside the rig to copy it")
+    return files

@@ -1,0 +1,87 @@
+"""LEDs under domes, traced exactly, with reflections: `python -m tests.measure.offset [--survey N] [--poses N]`.
+
+A surveyed film is rendered (tests/rendering.py, every LED where tests/traced_leds.py says that it is seen, 0.7 to 1.2
+m, 0 to 55 degrees, 1280x1024, f = 1400 px, noise of camera and light) and given to `asterism calibrate offset`; then
+other poses at 0.8 m and 45 degrees are rendered and located: LEDs without any offset, domes with the plain rig, domes
+with the rig that names led.yaml.
+"""
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from asterism.protocol.geometry import Floats, Pose, angle_between
+from asterism.protocol.rig import Rig, load_rig
+from tests.frames import alone, draw, estimates
+from tests.helpers import facing_pose
+from tests.servers import asterism
+from tests.surveys import Apparent, write_frames, write_rig, write_survey
+from tests.traced_leds import DOME, WINDOW, seen_at
+
+
+def main() -> int:
+    """Render, calibrate, locate, compare."""
+    parser = argparse.ArgumentParser(prog="python -m tests.measure.offset")
+    parser.add_argument("--survey", type=int, default=120, help="surveyed frames")
+    parser.add_argument("--poses", type=int, default=200, help="other frames, at 0.8 m and 45 degrees")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    covers = (
+        ("dome, theory and fit", DOME, ("--dome", "1.5,2.5e-3,1.25e-3")),
+        ("dome, fit alone", DOME, ()),
+        ("window, theory and fit", WINDOW, ("--window", "1.52,1e-3")),
+    )
+    for name, cover, arguments in covers:
+        rng = np.random.default_rng([options.seed, 5])
+
+        def apparent(led: Floats, axis: Floats, cover=cover) -> Floats:  # type: ignore[no-untyped-def]
+            return seen_at(cover, led, axis)
+
+        with tempfile.TemporaryDirectory() as place:
+            folder = Path(place)
+            rig = write_rig(folder, options.seed)
+            surveyed = [facing_pose(rng, (0.7, 1.2), (0.0, 55.0)) for _ in range(options.survey)]
+            write_frames(folder / "frames", rig, surveyed, rng, apparent)
+            write_survey(folder / "truth.jsonl", "alpha", surveyed)
+            done = asterism(
+                *("calibrate", "offset", folder / "rig.yaml", folder / "frames", "--truth", folder / "truth.jsonl"),
+                *(*arguments, "-o", folder / "led.yaml"),
+            )
+            print(f"--- {name}\n{done.stdout}{done.stderr}")
+            if done.returncode:
+                return 1
+            text = (folder / "rig.yaml").read_text().replace("radius: 2.5e-3", "radius: 2.5e-3, offset: led.yaml")
+            (folder / "with.yaml").write_text(text)
+            compensated = load_rig(folder / "with.yaml")
+        poses = [facing_pose(rng, (0.8, 0.8), (45.0, 45.0)) for _ in range(options.poses)]
+        floor = _errors("no offset at all", rig, rig, poses, None, options.seed)
+        _errors("domes, not compensated", rig, rig, poses, apparent, options.seed)
+        left = _errors("domes, compensated", rig, compensated, poses, apparent, options.seed)
+        print(f"compensated over no offset: x {left[0] / floor[0]:.3f}, y {left[1] / floor[1]:.3f}\n")
+    return 0
+
+
+def _errors(name: str, rig: Rig, given: Rig, poses: list[Pose], apparent: Apparent | None, seed: int) -> Floats:
+    """RMS errors (3,) m of poses located by ``given``, each frame alone; printed."""
+    rng = np.random.default_rng([seed, 6])
+    away, turned = [], []
+    for pose in poses:
+        image = draw(rig, {"alpha": pose}, apparent=apparent).expose(rng)
+        found = estimates(alone(image, given)).get("alpha")
+        if found is not None:
+            away.append(found.position - pose.position)
+            turned.append(angle_between(found.pose.rotation, pose.rotation))
+    rms: Floats = np.sqrt((np.array(away) ** 2).mean(axis=0))
+    x, y, z = 1e3 * rms
+    print(
+        f"{name}: {len(away)} of {len(poses)} located; x {x:.4f}, y {y:.4f}, z {z:.4f} mm RMS; angle "
+        f"{np.degrees(np.median(turned)):.4f} degrees median"
+    )
+    return rms
+
+
+if __name__ == "__main__":
+    sys.exit(main())
