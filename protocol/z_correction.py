@@ -1,7 +1,7 @@
 """The rig's `z_correction`: a plane or quadric that is added to the camera's Z of every pose.
 
-Everything is in the camera's frame and relative: a share of Z, by the place in the image and by 1 / Z. Where the surveyed
-poses it was fitted to do not reach, it fades to nothing, and says so.
+Everything is in the camera's frame and relative: a share of Z, by the place in the image and by 1 / Z. Where the
+surveyed poses it was fitted to do not reach, it fades to nothing, and says so.
 """
 
 from dataclasses import dataclass
@@ -31,8 +31,8 @@ class ZCorrection:
     """dz = Z beta . phi of the robot's place (X, Y, Z), m; with q = (X / Z, Y / Z, 1 / Z) and n = (q - centre) / scale,
     phi = (1, n) for a plane, for dz is one over X, Y, Z; a quadric has (n_x^2, n_x n_y, n_y^2) beside.
 
-    ``coefficients`` (k,) are beta; ``spread`` (k, k) is the lower Cholesky factor of their covariance. ``region`` is the
-    largest standard deviation that beta . phi has at a surveyed pose, that pose left out: where it is larger, the
+    ``coefficients`` (k,) are beta; ``spread`` (k, k) is the lower Cholesky factor of their covariance. ``region`` is
+    the largest standard deviation that beta . phi has at a surveyed pose, that pose left out: where it is larger, the
     correction fades, to nothing where it is twice that. ``most`` caps |beta . phi|. ``misfit`` is what surveyed poses
     still disagree beyond the noise of their spots, one sigma. All are shares of Z.
     """
@@ -91,6 +91,7 @@ def read_correction(section: Section) -> ZCorrection:
     scale = np.array(section.numbers("scale", 3, "above 0"))
     if not (scale > 0.0).all():
         raise section.error("scale", f"{scale.tolist()}, expected three numbers above 0")
+    coefficients = np.array(section.numbers("coefficients", count, f"of a {kind}"))
     rows = section.rows("spread", count, f"{count} rows, the Cholesky factor of the coefficients' covariance")
     if len(rows) != count:
         raise section.error("spread", f"{len(rows)} rows, expected {count} for a {kind}")
@@ -98,7 +99,7 @@ def read_correction(section: Section) -> ZCorrection:
         kind,
         np.array(section.numbers("centre", 3, "of X / Z, Y / Z, 1 / Z")),
         scale,
-        np.array(section.numbers("coefficients", count, f"of a {kind}")),
+        coefficients,
         np.array(rows),
         section.number("region", above=0.0),
         section.number("most", above=0.0),

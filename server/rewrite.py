@@ -33,6 +33,16 @@ def rewrite(text: str, changes: Mapping[tuple[str, ...], Value], name: str) -> s
     return text
 
 
+def without(text: str, key: str) -> str:
+    """The YAML ``text`` without a key of its outermost mapping, a block; as it is where it has no such key."""
+    root = _compose(text)
+    for name, node in root.value:
+        if name.value == key and not root.flow_style:
+            start, end = name.start_mark.index, text.find("\n", _end(node))
+            return text[:start] + (text[end + 1 :] if end >= 0 else "")
+    return text
+
+
 def relocate(text: str, old: Path, new: Path) -> str:
     """The rig's ``text``, written at ``old``, for the place ``new``: relative paths (`camera`, every robot's
     `led.offset`) lead to the same files.

@@ -27,7 +27,10 @@ def survey_pairs(
     true: Rig, given: Rig, poses: Sequence[Pose], rng: np.random.Generator, sigma_px: float = 0.02,
     apparent: Apparent | None = None,
 ) -> Pairs:  # fmt: skip
-    """Sightings of the first robot at T_camera_robot ``poses``, drawn by ``true``, located by ``given``; with truth."""
+    """Sightings of the first robot at T_camera_robot ``poses``, drawn by ``true``, located by ``given``; with truth,
+    T_world_robot where the true rig has a world.
+    """
+    T_parent_camera = true.T_world_camera or Pose.identity()
     sightings = []
     robot = true.robots[0]
     for index, pose in enumerate(poses):
@@ -41,8 +44,8 @@ def survey_pairs(
         found, covariance = answer
         located.append(Sighting(sighting.frame, sighting.index, robot.id, sighting.centres, found, covariance, None))
     return [
-        (sighting, SurveyedPose(robot.id, pose.position, pose.orientation))
-        for sighting, pose in zip(located, poses, strict=True)
+        (sighting, SurveyedPose(robot.id, told.position, told.orientation))
+        for sighting, told in zip(located, (T_parent_camera @ pose for pose in poses), strict=True)
     ]
 
 
@@ -124,3 +127,16 @@ def z_errors(pairs: Pairs) -> tuple[Floats, Floats, Floats]:
     places = np.array([sighting.pose.position for sighting, _ in pairs])
     truth = np.array([told.position for _, told in pairs])
     return places, truth[:, 2] - places[:, 2], np.array([sighting.covariance[2, 2] for sighting, _ in pairs])
+
+
+def write_off_rig(folder: Path, true: Rig, given: Rig) -> None:
+    """camera.yaml and rig.yaml of ``given``, which is off, with all else as in the files of ``true``."""
+    numbers = ", ".join(f"{value:.7f}" for value in given.camera.matrix.ravel())
+    text = true.camera_text.replace("[1400.0, 0.0, 642.0, 0.0, 1400.0, 509.0, 0.0, 0.0, 1.0]", f"[{numbers}]")
+    coefficients = ", ".join(f"{value:.9f}" for value in given.camera.distortion)
+    (folder / "camera.yaml").write_text(text.replace("[-0.11, 0.03, 0.0004, -0.0003, 0.0]", f"[{coefficients}]"))
+    lines = true.rig_text.splitlines()
+    first = next(k for k, line in enumerate(lines) if line.lstrip().startswith("- ["))
+    for k, (x, y, z) in enumerate(given.robots[0].leds.tolist()):
+        lines[first + k] = f"      - [{x:.7f}, {y:.7f}, {z:.7f}]"
+    (folder / "rig.yaml").write_text("\n".join(lines) + "\n")

@@ -8,7 +8,7 @@ from ruamel.yaml import YAML
 from asterism.protocol.errors import InputError
 from asterism.protocol.rig import parse_rig
 from asterism.server.demo_rig import DEMO_RIG
-from asterism.server.rewrite import relocate, rewrite
+from asterism.server.rewrite import relocate, rewrite, without
 from tests.test_rig import RIG
 
 LEDS = ("robots", "alpha", "leds")
@@ -125,3 +125,13 @@ def test_the_demonstrations_rig_stays_a_rig() -> None:
     after = parse_rig(rewrite(rig_text, {("robots", "bravo", "leds"): leds}, "demo"), camera_text, "demo")
     assert (after.robot("bravo").leds == leds).all()
     assert (after.robot("alpha").leds == before.robot("alpha").leds).all()
+
+
+def test_a_key_is_taken_out_with_its_block_and_nothing_else() -> None:
+    head, tail = "# a rig\ncamera: c.yaml  # lens\n", "robots:   # all\n  a: {leds: [1]}\n"
+    block = "z_correction:   # from a survey\n  kind: plane\n  spread:\n    - [1, 2]\n    - [3, 4]  # last\n"
+    assert without(head + block + tail, "z_correction") == head + tail
+    assert without(head + tail + block, "z_correction") == head + tail
+    assert without(head + tail + block.rstrip("\n"), "z_correction") == head + tail
+    assert without(head + tail, "z_correction") == head + tail
+    assert without(head + "z_correction: {kind: plane}\n" + tail, "z_correction") == head + tail
