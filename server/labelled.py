@@ -37,7 +37,7 @@ def solve_sightings(rig: Rig, sightings: Sequence[Sighting]) -> list[tuple[Pose,
     found, residuals = np.empty((n, 2, 6, 6)), np.empty((n, 2, LEDS, 2))
     solve_robots(
         layouts, assignment, rays, covariances, pixels, np.array([pose.rotation for pose in starts]),
-        np.array([pose.position for pose in starts]), np.ones(n, np.bool_), lens, optics,
+        np.array([pose.position for pose in starts]), lens, optics,
         rotations, ts, costs, found, residuals,
     )  # fmt: skip
     solved: list[tuple[Pose, Floats] | None] = []
