@@ -19,7 +19,7 @@ from asterism.protocol.rig import Rig
 from asterism.server.labelled import solve_sightings
 from asterism.server.led_optics import dome_depth, window_depth
 from asterism.server.spot_shift import LIMIT, SHIFT
-from asterism.server.surveyed import Pairs, true_poses
+from asterism.server.surveyed import Pairs
 from asterism.server.surveyed_fit import Model, SurveyedFit, Table, by_pose, chi2_of, errors_of, fit, table_of
 
 FEWEST_POSES = 12
@@ -60,10 +60,9 @@ def calibrate_offset(
     Raises InputError where the angles that are needed were not seen.
     """
     plain = replace(rig, robots=tuple(replace(robot, led_offset=None) for robot in rig.robots))
-    angles = _angles(pairs, rig)
+    angles, largest = _angles(pairs, rig)
     check_angles(film, angles)
     table = table_of(pairs, plain)
-    largest = float(np.max(_led_angles(table, plain)))
     theory = _theory(largest, dome, window)
     full = fit(_model(plain, theory, largest), table, np.full(MOST_FITTED, PRIOR_M))
     folds = np.arange(len(table)) % FOLDS
@@ -72,7 +71,8 @@ def calibrate_offset(
     final = fit(model, table[full.used], priors, full.sigmas) if terms else None
     fitted = np.zeros(0) if final is None else final.parameters
     offset = LedOffset(_sum(theory, fitted), largest)
-    sigma = 0.0 if final is None else math.sqrt(final.covariance[0, 0])
+    # Of the fullest fit: a smaller one knows its constant better only if its shape is the right one.
+    sigma = math.sqrt(full.covariance[0, 0])
     before = errors_of(pairs, rig, solve_sightings(rig, [s for s, _ in pairs]))
     after = _held_out(plain, pairs, table, folds, theory, largest, terms, full)
     return OffsetCalibration(offset, theory, fitted, scores, sigma, angles, before, after, full)
@@ -99,29 +99,19 @@ def with_offset(rig: Rig, offset: LedOffset) -> Rig:
     return replace(rig, robots=tuple(replace(robot, led_offset=offset) for robot in rig.robots))
 
 
-def _angles(pairs: Pairs, rig: Rig) -> Floats:
-    angles = []
-    for (sighting, _), pose in zip(pairs, true_poses(pairs, rig), strict=True):
+def _angles(pairs: Pairs, rig: Rig) -> tuple[Floats, float]:
+    """Angles (n,) rad between LED axis and line of sight at the robots' middles, and the largest at any LED; by where
+    robots were located, since of a survey single poses may be wrong.
+    """
+    middles, largest = [], 0.0
+    for sighting, _ in pairs:
         robot = rig.robot(sighting.robot)
-        middle = pose.map(robot.leds.mean(axis=0))
-        facing = -float((pose.rotation @ robot.axis) @ middle) / float(np.linalg.norm(middle))
-        angles.append(math.acos(min(max(facing, -1.0), 1.0)))
-    return np.array(angles)
-
-
-def _axes(table: Table, rig: Rig) -> Floats:
-    """Axes (n, 3) of the LEDs in the plane's frame."""
-    axes = np.array([robot.T_robot_plane.rotation.T @ robot.axis for robot in rig.robots])
-    return np.asarray(axes[table.robots])
-
-
-def _led_angles(table: Table, rig: Rig) -> Floats:
-    """Angles (n, 6) rad at which every LED was seen."""
-    points = table.layouts @ np.swapaxes(table.rotations, 1, 2) + table.ts[:, None, :]
-    axes = (table.rotations @ _axes(table, rig)[:, :, None])[:, :, 0]
-    facing = -np.einsum("nli,ni->nl", points, axes) / np.linalg.norm(points, axis=2)
-    angles: Floats = np.arccos(np.clip(facing, -1.0, 1.0))
-    return angles
+        points = sighting.pose.map(np.vstack([robot.leds.mean(axis=0), robot.leds]))
+        facing = -(points @ (sighting.pose.rotation @ robot.axis)) / np.linalg.norm(points, axis=1)
+        angles = np.arccos(np.clip(facing, 0.0, 1.0))
+        middles.append(angles[0])
+        largest = max(largest, float(angles.max()))
+    return np.array(middles), largest
 
 
 def _theory(largest: float, dome: tuple[float, ...] | None, window: tuple[float, ...] | None) -> Floats:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from asterism.protocol.camera import Camera
+from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose, angle_between, exp_rotation
 from asterism.protocol.rig import Rig
 from asterism.server.fit import LEDS
@@ -132,6 +133,7 @@ def fit(model: Model, table: Table, priors: Floats, sigmas: Floats | None = None
     """Parameters that explain the centres, near zero as ``priors`` (p,), one sigma each, say.
 
     With ``sigmas`` given they are taken as known and nothing is left out: for subsets of a table that was fitted.
+    Raises InputError where more than half of the sightings are far off.
     """
     n = len(table)
     parameters = np.zeros(len(priors))
@@ -147,9 +149,9 @@ def fit(model: Model, table: Table, priors: Floats, sigmas: Floats | None = None
             chi2 = np.einsum("ni,nij,nj->n", residuals, inverse, residuals)
             # A single wrong pose must not pull before it is found out.
             weights = used / (1.0 + (0.0 if known or round_ > 1 else 1.0) * chi2 / (9.0 * 2 * table.seen))
-            weighted = np.einsum("nip,nij,n->npj", by_parameters, inverse, weights)
-            normal = np.einsum("npj,njq->pq", weighted, by_parameters) + information
-            right = np.einsum("npj,nj->p", weighted, residuals) - information @ parameters
+            weighted = weights[:, None, None] * (np.swapaxes(by_parameters, 1, 2) @ inverse)
+            normal = np.tensordot(weighted, by_parameters, ([0, 2], [0, 1])) + information
+            right = np.tensordot(weighted, residuals, ([0, 2], [0, 1])) - information @ parameters
             # In units of the priors, since metres, pixels and coefficients are of different sizes.
             step = priors * np.linalg.solve(priors[:, None] * normal * priors, priors * right)
             parameters = parameters + step
@@ -161,6 +163,11 @@ def fit(model: Model, table: Table, priors: Floats, sigmas: Floats | None = None
         residuals = table.centres.reshape(n, NUMBERS) - predicted
         if round_ >= 1:
             used = chi2_of(table, residuals, jacobian, current) <= FAR_OFF * 2 * table.seen
+            if 2 * used.sum() < n:
+                raise InputError(
+                    f"{n - used.sum()} of {n} surveyed poses are far off what the others say, expected few such; do "
+                    "truth and frames belong together, is the rig roughly right?"
+                )
         if round_ < ROUNDS - 1:
             current = _most_likely(table[used], residuals[used], jacobian[used], current, robust=round_ == 0)
     covariance = priors[:, None] * np.linalg.inv(priors[:, None] * normal * priors) * priors

@@ -25,10 +25,10 @@ Apparent = Callable[[Floats, Floats], Floats]  # LED and axis in the camera's fr
 
 def survey_pairs(
     true: Rig, given: Rig, poses: Sequence[Pose], rng: np.random.Generator, sigma_px: float = 0.02,
-    apparent: Apparent | None = None,
+    apparent: Apparent | None = None, hidden: float = 0.0,
 ) -> Pairs:  # fmt: skip
     """Sightings of the first robot at T_camera_robot ``poses``, drawn by ``true``, located by ``given``; with truth,
-    T_world_robot where the true rig has a world.
+    T_world_robot where the true rig has a world. ``hidden``: the probability that one of the LEDs is.
     """
     T_parent_camera = true.T_world_camera or Pose.identity()
     sightings = []
@@ -36,7 +36,11 @@ def survey_pairs(
     for index, pose in enumerate(poses):
         centres = spots(true.camera, robot.leds, pose, robot.led_radius or 0.0, apparent, robot.axis)
         noisy = centres + sigma_px * rng.standard_normal((6, 2))
-        known = LedCentres(noisy, np.tile(sigma_px**2 * np.eye(2), (6, 1, 1)))
+        spreads = np.tile(sigma_px**2 * np.eye(2), (6, 1, 1))
+        if rng.random() < hidden:
+            led = rng.integers(6)
+            noisy[led], spreads[led] = np.nan, np.nan
+        known = LedCentres(noisy, spreads)
         sightings.append(Sighting(f"{index:05d}.png", index, robot.id, known, pose, np.eye(6), None))
     located = []
     for sighting, answer in zip(sightings, solve_sightings(given, sightings), strict=True):

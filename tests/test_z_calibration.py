@@ -98,7 +98,7 @@ def test_a_survey_in_a_world_that_is_off_and_inexact_itself(true: Rig, rng: np.r
     given = off_rig(placed, rng)
     off = Pose.from_matrix(exp_rotation(np.array([2e-3, -1e-3, 1e-3])), np.array([1e-3, -2e-3, 1e-3]))
     given = replace(given, T_world_camera=world @ off)
-    pairs = survey_pairs(placed, given, poses(rng, 100), rng, SIGMA_PX)
+    pairs = survey_pairs(placed, given, poses(rng, 100), rng, SIGMA_PX, hidden=0.3)
     pairs = [(s, replace(told, position=told.position + 1e-4 * rng.standard_normal(3))) for s, told in pairs]
     sighting, told = pairs[30]
     pairs[30] = sighting, replace(told, position=told.position + np.array([0.0, 0.03, 0.0]))

@@ -45,6 +45,10 @@ def run(options: argparse.Namespace) -> int:
     robots = sorted({sighting.robot for sighting, _ in paired.pairs})
     text = _text(found, options, robots)
     parse_offset(text, str(options.out))
+    if rig.z_correction is not None:
+        say(
+            f"warning: the z_correction of {options.rig} was fitted without this offset; run asterism calibrate z again"
+        )
     kept = write_result_file(options.out, text, options.force)
     _tell(found)
     print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else ""))
