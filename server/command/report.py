@@ -1,0 +1,120 @@
+"""asterism report: the error budget of a rig and its workspace; with surveyed truth, measured beside predicted."""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from asterism.protocol.errors import InputError, WorldError
+from asterism.protocol.rig import Rig, load_rig
+from asterism.server.budget import SOURCES, Light
+from asterism.server.budget_page import page
+from asterism.server.budget_plots import plots_of
+from asterism.server.budget_truth import Bin, Compared, bins_of, compare, light_of
+from asterism.server.command.progress import progress
+from asterism.server.command.say import say
+from asterism.server.observations import observe
+from asterism.server.sources import open_source, refuse_endless
+from asterism.server.survey import match_frames, read_survey
+from asterism.server.uncertainty import Uncertainty, read_uncertainty
+from asterism.server.warm_up import warm_up
+from asterism.server.workspace import Budget, budget_of
+
+PAGE = "report.html"
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write DIR/report.html and its plots, print the essence."""
+    out: Path = options.out
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out}: exists already, expected a new or empty folder")
+    rig = load_rig(options.rig)
+    uncertainty = read_uncertainty(Path(options.rig), rig.centre)
+    light = Light.assumed(rig.centre)
+    measured = None
+    if options.truth is not None:
+        truth, source = options.truth
+        compared, light = _compare(rig, Path(truth), source, uncertainty, light)
+        measured = (compared, bins_of(compared), f"{source} beside {truth}")
+    budget = budget_of(rig, uncertainty, light)
+    plots = plots_of(rig, budget, *(measured[:2] if measured else (None, [])))
+    text = page(Path(options.rig).name, rig, uncertainty, light, budget, plots, measured)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for plot in plots:
+            (out / plot.name).write_bytes(plot.png)
+        (out / PAGE).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise WorldError(f"{out}: cannot be written ({error.strerror})") from None
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=130)
+    console.print(_table(budget))
+    if measured:
+        _tell(console, measured[0], measured[1])
+    print(f"written: {out / PAGE} and {len(plots)} plots beside it")
+    return 0
+
+
+def _compare(rig: Rig, truth: Path, source_name: str, uncertainty: Uncertainty, light: Light) -> tuple[Compared, Light]:
+    survey = read_survey(truth, [robot.id for robot in rig.robots])
+    refuse_endless(source_name, "report")
+    source = open_source(source_name, rig, say)
+    warm_up()
+    seen = [
+        (frame.name, sightings)
+        for frame, sightings in observe(progress(source.frames(), source.length, "localizing"), rig)
+    ]
+    matched = match_frames(survey, [name for name, _ in seen], source_name)
+    for remark in matched.remarks:
+        say(remark)
+    light = light_of(rig, light, [sighting for _, sightings in seen for sighting in sightings])
+    return compare(rig, seen, matched.frames, uncertainty, light), light
+
+
+def _table(budget: Budget) -> Table:
+    """Per source, near, in the middle and far: z alone with its share of the variance, and sideways and tilt."""
+    rows = (0, len(budget.distances) // 2, len(budget.distances) - 1)
+    near, middle, far = (f"{budget.distances[row]:.2f} m" for row in rows)
+    table = Table(
+        title=f"one standard deviation, each source alone, at {near} | {middle} | {far}",
+        box=None,
+        header_style="bold",
+        padding=(0, 1),
+    )
+    table.add_column("source", no_wrap=True)
+    for name in ("x, y mm", "z mm", "rx, ry deg", "rz deg", "z's variance, %"):
+        table.add_column(name, justify="right", no_wrap=True)
+    parts = budget.by_distance[list(rows)]  # (3, sources, 6)
+    whole = parts.sum(axis=1)
+    for name, variances in [*zip(SOURCES, parts.transpose(1, 0, 2), strict=True), ("all together", whole)]:
+        x, y, z, rx, ry, rz = variances.T
+        columns = (
+            (1e3 * np.sqrt((x + y) / 2), ".3f"),
+            (1e3 * np.sqrt(z), ".3f"),
+            (np.degrees(np.sqrt((rx + ry) / 2)), ".3f"),
+            (np.degrees(np.sqrt(rz)), ".3f"),
+            (100.0 * z / np.maximum(whole[:, 2], 1e-300), ".0f"),
+        )
+        cells = (" | ".join(f"{value:{form}}" for value in values) for values, form in columns)
+        table.add_row(name, *cells, style="bold" if name == "all together" else "")
+    return table
+
+
+def _tell(console: Console, compared: Compared, bins: list[Bin]) -> None:
+    table = Table(title="measured RMS / predicted one sigma", box=None, header_style="bold", padding=(0, 1))
+    for name in ("m", "sightings", "x mm", "y mm", "z mm", "rx deg", "ry deg", "rz deg"):
+        table.add_column(name, justify="right", no_wrap=True)
+    scales = np.array([1e3, 1e3, 1e3, *[np.degrees(1.0)] * 3])
+    for part in bins:
+        pairs = zip(part.measured * scales, part.predicted * scales, strict=True)
+        table.add_row(f"{part.distance:.2f}", str(part.count), *(f"{a:.3f} / {b:.3f}" for a, b in pairs))
+    console.print(table)
+    whole, own = compared.nees
+    console.print(
+        f"{len(compared.errors)} sightings, {compared.lost} lost, {compared.flips} with the wrong tilt; squared error "
+        f"over the budget's covariance {whole:.1f}, over the chain's own {own:.1f} (6 is honest)",
+        highlight=False,
+    )
