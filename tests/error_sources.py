@@ -87,7 +87,7 @@ def solved(rig: Rig, robot: Robot, poses: Poses, centres: Floats, covariances: F
     solve_robots(
         np.tile(robot.leds_plane, (n, 1, 1)), np.arange(6 * n).reshape(n, 6), rays, ray_covariances, pixels,
         np.array([pose.rotation for pose in starts]), np.array([pose.position for pose in starts]),
-        np.ones(n, np.bool_), lens, np.tile(optics_of(robot), (n, 1)), rotations, ts, costs, told, residuals,
+        lens, np.tile(optics_of(robot), (n, 1)), rotations, ts, costs, told, residuals,
     )  # fmt: skip
     errors, chosen = np.full((n, 6), np.nan), np.zeros((n, 6, 6))
     for k in range(n):

@@ -75,31 +75,25 @@ def _compare(rig: Rig, truth: Path, source_name: str, uncertainty: Uncertainty, 
 
 
 def _table(budget: Budget) -> Table:
-    """Per source, near, in the middle and far: z alone with its share of the variance, and sideways and tilt."""
-    rows = (0, len(budget.distances) // 2, len(budget.distances) - 1)
-    near, middle, far = (f"{budget.distances[row]:.2f} m" for row in rows)
+    """Every source alone in the middle of the workspace, and its share of z's variance; all together at its ends."""
+    near, middle, far = 0, len(budget.distances) // 2, len(budget.distances) - 1
     table = Table(
-        title=f"one standard deviation, each source alone, at {near} | {middle} | {far}",
+        title=f"one standard deviation, each source alone, at {budget.distances[middle]:.2f} m",
         box=None,
         header_style="bold",
         padding=(0, 1),
     )
     table.add_column("source", no_wrap=True)
-    for name in ("x, y mm", "z mm", "rx, ry deg", "rz deg", "z's variance, %"):
+    for name in ("x mm", "y mm", "z mm", "rx deg", "ry deg", "rz deg", "of z"):
         table.add_column(name, justify="right", no_wrap=True)
-    parts = budget.by_distance[list(rows)]  # (3, sources, 6)
-    whole = parts.sum(axis=1)
-    for name, variances in [*zip(SOURCES, parts.transpose(1, 0, 2), strict=True), ("all together", whole)]:
-        x, y, z, rx, ry, rz = variances.T
-        columns = (
-            (1e3 * np.sqrt((x + y) / 2), ".3f"),
-            (1e3 * np.sqrt(z), ".3f"),
-            (np.degrees(np.sqrt((rx + ry) / 2)), ".3f"),
-            (np.degrees(np.sqrt(rz)), ".3f"),
-            (100.0 * z / np.maximum(whole[:, 2], 1e-300), ".0f"),
-        )
-        cells = (" | ".join(f"{value:{form}}" for value in values) for values, form in columns)
-        table.add_row(name, *cells, style="bold" if name == "all together" else "")
+    scales = np.array([1e3, 1e3, 1e3, *[np.degrees(1.0)] * 3])
+    parts, whole = budget.by_distance[middle], budget.by_distance.sum(axis=1)
+    for name, variances in zip(SOURCES, parts, strict=True):
+        share = variances[2] / max(float(whole[middle, 2]), 1e-300)
+        table.add_row(name, *(f"{value:.4f}" for value in np.sqrt(variances) * scales), f"{share:.0%}")
+    for name, at in (("all together", middle), ("  near", near), ("  far", far)):
+        label = name if at == middle else f"{name}, {budget.distances[at]:.2f} m"
+        table.add_row(label, *(f"{value:.4f}" for value in np.sqrt(whole[at]) * scales), style="bold")
     return table
 
 
