@@ -74,6 +74,8 @@ def assumptions(uncertainty: Uncertainty, light: Light, rig: Rig) -> list[tuple[
     look, u = light.look, uncertainty
 
     def origin(key: str) -> str:
+        if key in u.calibrated:
+            return "from the calibration"
         return "given" if key in u.given else "assumed"
 
     light_text = (

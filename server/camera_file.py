@@ -2,12 +2,18 @@
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
 from asterism.protocol.camera import Camera
 from asterism.protocol.geometry import Floats
 from asterism.server.camera_fit import CameraFit
+
+
+def report_path(camera_path: Path) -> Path:
+    """Where the report of a camera's calibration lies."""
+    return camera_path.with_name(f"{camera_path.stem}.report.yaml")
 
 
 def camera_text(camera: Camera) -> str:

@@ -329,6 +329,18 @@ def test_a_wrong_uncertainty_file_is_refused(tmp_path: Path, text: str, words: s
     assert "uncertainty.yaml" in str(refusal.value)
 
 
+def test_a_calibrations_report_says_how_sure_the_lens_is(tmp_path: Path) -> None:
+    camera = tmp_path / "mine.yaml"
+    camera.write_text((DEMO_RIG.parent / "camera.yaml").read_text())
+    assert read_uncertainty(tmp_path / "rig.yaml", "edge-model", camera) == Uncertainty(bias_px=0.001)
+    (tmp_path / "mine.report.yaml").write_text("sigmas: {fx: 0.7, fy: 0.7, cx: 0.2, cy: 0.4}\n")
+    (tmp_path / "uncertainty.yaml").write_text("principal_point_px: 0.1\n")
+    told = read_uncertainty(tmp_path / "rig.yaml", "edge-model", camera)
+    assert told.focal_relative == pytest.approx(0.7 / 1400.0)
+    assert told.principal_point_px == 0.1
+    assert (told.calibrated, told.given) == ({"focal_relative"}, {"principal_point_px"})
+
+
 def test_a_folder_that_holds_something_is_refused_before_any_work(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

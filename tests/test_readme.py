@@ -12,6 +12,7 @@ import pytest
 from asterism.protocol.rig import parse_rig
 from asterism.server.__main__ import _parser
 from asterism.server.demo_rig import DEMO_RIG
+from asterism.server.uncertainty import KEYS, read_uncertainty
 from tests.helpers import REPOSITORY
 from tests.servers import free_endpoint, running
 
@@ -53,9 +54,15 @@ def test_its_measuring_programs_and_links_are_there() -> None:
 
 
 def test_its_rig_is_a_rig() -> None:
-    (text,) = blocks("yaml")
+    text, _ = blocks("yaml")
     rig = parse_rig(text, (DEMO_RIG.parent / "camera.yaml").read_text(), "README.md")
     assert [robot.id for robot in rig.robots] == ["alpha"]
+
+
+def test_its_uncertainties_are_uncertainties(tmp_path: Path) -> None:
+    _, text = blocks("yaml")
+    (tmp_path / "uncertainty.yaml").write_text(text)
+    assert read_uncertainty(tmp_path / "rig.yaml", "edge-model").given == set(KEYS)
 
 
 def test_its_chain_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,7 +14,7 @@ from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.keys import key_problem
 from asterism.server.board_points import Seen, find_points
 from asterism.server.camera_calibration import calibrate_camera, implausible, refuse_too_few
-from asterism.server.camera_file import camera_text, report_text
+from asterism.server.camera_file import camera_text, report_path, report_text
 from asterism.server.camera_fit import CameraFit, View, ends_inside
 from asterism.server.command.progress import progress
 from asterism.server.command.say import say
@@ -133,7 +133,7 @@ def _write_beside(out: Path, fit: CameraFit, report: str) -> list[str]:
     from asterism.server.camera_plots import coverage_png, residuals_png
 
     files = {
-        out.with_name(f"{out.stem}.report.yaml"): report.encode(),
+        report_path(out): report.encode(),
         out.with_name(f"{out.stem}.coverage.png"): coverage_png(fit),
         out.with_name(f"{out.stem}.residuals.png"): residuals_png(fit),
     }

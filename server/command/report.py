@@ -9,6 +9,7 @@ from rich.table import Table
 
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.rig import Rig, load_rig
+from asterism.protocol.yaml_file import parse_yaml
 from asterism.server.budget import SOURCES, Light
 from asterism.server.budget_page import page
 from asterism.server.budget_plots import plots_of
@@ -31,7 +32,8 @@ def run(options: argparse.Namespace) -> int:
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: exists already, expected a new or empty folder")
     rig = load_rig(options.rig)
-    uncertainty = read_uncertainty(Path(options.rig), rig.centre)
+    camera = Path(options.rig).parent / parse_yaml(rig.rig_text, options.rig).text("camera")
+    uncertainty = read_uncertainty(Path(options.rig), rig.centre, camera)
     light = Light.assumed(rig.centre)
     measured = None
     if options.truth is not None:
