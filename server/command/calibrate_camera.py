@@ -1,7 +1,7 @@
 """asterism calibrate camera: the lens model from views of a planar target."""
 
 import argparse
-from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from asterism.server.board_points import Seen, find_points
 from asterism.server.camera_calibration import calibrate_camera, implausible, refuse_too_few
 from asterism.server.camera_file import camera_text, report_path, report_text
 from asterism.server.camera_fit import CameraFit, View, ends_inside
+from asterism.server.camera_plots import coverage_png, residuals_png
 from asterism.server.command.progress import progress
 from asterism.server.command.say import say
 from asterism.server.coverage import COLUMNS, ROWS, empty_parts, missing, points_by_cell, signature
@@ -44,11 +45,14 @@ def run(options: argparse.Namespace) -> int:
     if target.kind == "leds":
         warm_up()
     search = _Search(target)
-    _watch(source, search) if source.live else _look_through(source, search)
+    if source.live:
+        _watch(source, search)
+    else:
+        _look_through(source, search)
     refuse_too_few(search.views, search.looked_at, target, options.source, search.samples)
     width, height = search.size
     fit, held_out = calibrate_camera(search.views, width, height, target, options.model, say)
-    camera = parse_camera(camera_text(fit.camera).replace("camera_name: camera", f"camera_name: {name}", 1), name)
+    camera = parse_camera(camera_text(replace(fit.camera, name=name)), str(options.out))
     remarks = missing(fit)
     if ends_inside(camera):
         remarks.append("the lens model ends inside the image: LEDs near its edge have no ray")
@@ -95,7 +99,7 @@ def _watch(source: Source, search: _Search) -> None:
     say("show the board in all parts of the image, tilted to all sides, near and far; hold it still; end with Ctrl-C")
     before: View | None = None
     try:
-        for frame in _frames(source):
+        for frame in source.frames():
             seen = search.look(frame)
             view = None if seen is None else View(frame.name, seen)
             still = view is not None and before is not None and _away(view, before) < STILL_PX
@@ -109,10 +113,6 @@ def _watch(source: Source, search: _Search) -> None:
             before = view
     except KeyboardInterrupt:
         say("")
-
-
-def _frames(source: Source) -> Iterator[Frame]:
-    yield from source.frames()
 
 
 def _away(view: View, other: View) -> float:
@@ -130,8 +130,6 @@ def _map(counts: NDArray[np.int64]) -> str:
 
 def _write_beside(out: Path, fit: CameraFit, report: str) -> list[str]:
     """Report and plots beside the calibration; those of an older one give way."""
-    from asterism.server.camera_plots import coverage_png, residuals_png
-
     files = {
         report_path(out): report.encode(),
         out.with_name(f"{out.stem}.coverage.png"): coverage_png(fit),
