@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from asterism.protocol.geometry import Floats
@@ -55,9 +56,24 @@ def _chessboard(image: NDArray[np.uint8], target: Target) -> Seen | None:
     size = (target.columns, target.rows)
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     found, corners = cv2.findChessboardCornersSB(image, size, flags=flags)
-    if not found:
+    if not found or not _between_squares(image, corners.reshape(target.rows, target.columns, 2)):
         return None
     return Seen(target.points, _refined(image, corners.reshape(-1, 2))[0])
+
+
+def _between_squares(image: NDArray[np.uint8], grid: Floats) -> bool:
+    """Whether every corner (rows, columns, 2) lies between two dark and two light squares.
+
+    Asked for one column more than there is, the detector takes the outer corners of the outermost squares for inner
+    ones (OpenCV 5.0); there three of the four squares are light.
+    """
+    across, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
+    squares = [grid + 0.5 * (a * across + b * down) for a, b in ((-1, -1), (1, 1), (-1, 1), (1, -1))]
+    places = np.array(squares).reshape(4, -1, 2)
+    smooth = cv2.blur(image, (3, 3)).astype(np.float64)
+    light = map_coordinates(smooth, [places[..., 1], places[..., 0]], order=1, mode="nearest")
+    one, other = light[:2], light[2:]
+    return bool(((one.min(axis=0) > other.max(axis=0)) | (other.min(axis=0) > one.max(axis=0))).all())
 
 
 def _refined(image: NDArray[np.uint8], corners: Floats) -> tuple[Floats, Floats]:

@@ -83,6 +83,16 @@ def test_a_chessboards_lens_is_found_within_its_standard_deviations(rng: np.rand
     assert_true(fit, LENS)
 
 
+@pytest.mark.parametrize("text", ["chessboard:10x6:0.025", "chessboard:9x7:0.025", "chessboard:8x6:0.025"])
+def test_a_chessboard_of_another_size_is_not_found(rng: np.random.Generator, text: str) -> None:
+    printed = chessboard(9, 6, 0.025)
+    turn = exp_rotation(np.array([0.2, 0.1, 0.05]))
+    pose = Pose.from_matrix(turn, np.array([0.0, 0.0, 0.45]) - turn @ np.array([0.1, 0.0625, 0.0]))
+    image = render(LENS, pose, *printed, rng)
+    assert find_points(image, parse_target("chessboard:9x6:0.025")) is not None
+    assert find_points(image, parse_target(text)) is None
+
+
 @pytest.mark.parametrize(("text", "inverted"), [("circles:7x5:0.03", False), ("acircles:4x9:0.02", True)])
 def test_dots_are_centred_where_they_are_and_not_where_they_seem(
     rng: np.random.Generator, text: str, inverted: bool
