@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter
 
 from asterism.protocol.geometry import Floats, Pose, exp_rotation
 
-FINER = 5  # samples a pixel along each axis
+FINER = 3  # samples a pixel along each axis
 Print = Callable[[Floats, Floats], Floats]  # grey levels at board coordinates x, y, m; nan beside the board
 
 
