@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from asterism.protocol.errors import InputError
 from asterism.server.board_points import chessboard_size
-from asterism.server.camera_fit import NAMES, CameraFit, View, ends_inside, fit_camera
+from asterism.server.camera_fit import NAMES, CameraFit, ends_inside, fit_camera
 from asterism.server.coverage import distinct, tilts_deg
+from asterism.server.lens_bundle import View
 from asterism.server.targets import Target
 
 LEAST_VIEWS = 4

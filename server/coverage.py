@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
-from asterism.server.camera_fit import CameraFit, View
+from asterism.server.camera_fit import CameraFit
+from asterism.server.lens_bundle import View
 
 COLUMNS, ROWS = 5, 4  # cells of the image
 LEAST_IN_CELL = 3  # points

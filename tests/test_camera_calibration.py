@@ -15,11 +15,12 @@ from asterism.protocol.yaml_file import read_yaml
 from asterism.server.board_points import Seen, find_points
 from asterism.server.camera_calibration import calibrate_camera, implausible, refuse_too_few
 from asterism.server.camera_file import camera_text
-from asterism.server.camera_fit import CameraFit, View, dot_shift, ends_inside, fit_camera
+from asterism.server.camera_fit import CameraFit, ends_inside, fit_camera
 from asterism.server.coverage import distinct, missing
 from asterism.server.frame import Frame
 from asterism.server.images import read_image
 from asterism.server.layout_match import match_layout
+from asterism.server.lens_bundle import View, dot_shift
 from asterism.server.targets import Target, parse_target
 from tests.boards import FISHEYE, Lens, chessboard, discs, poses, render
 from tests.helpers import conic_centres, shared

@@ -15,12 +15,13 @@ from asterism.protocol.keys import key_problem
 from asterism.server.board_points import Seen, find_points
 from asterism.server.camera_calibration import calibrate_camera, implausible, refuse_too_few
 from asterism.server.camera_file import camera_text, report_path, report_text
-from asterism.server.camera_fit import CameraFit, View, ends_inside
+from asterism.server.camera_fit import CameraFit, ends_inside
 from asterism.server.camera_plots import coverage_png, residuals_png
 from asterism.server.command.progress import progress
 from asterism.server.command.say import say
 from asterism.server.coverage import COLUMNS, ROWS, empty_parts, missing, points_by_cell, signature
 from asterism.server.frame import Frame
+from asterism.server.lens_bundle import View
 from asterism.server.result_file import check_result_file, write_result_file
 from asterism.server.sources import Source, open_source
 from asterism.server.targets import Target, parse_target
