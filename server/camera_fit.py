@@ -67,9 +67,11 @@ class CameraFit:
         return dict(zip(names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
 
-def fit_camera(views: Sequence[View], width: int, height: int, model: str, name: str = "camera") -> CameraFit | None:
+def fit_camera(views: Sequence[View], width: int, height: int, model: str) -> CameraFit | None:
     """Lens and poses; bad points and bad views are left out. None where nothing fits."""
-    nominal = Camera(name, width, height, np.diag([width, width, 1.0]), model, np.zeros(DISTORTION_MODELS[model][-1]))
+    nominal = Camera(
+        "camera", width, height, np.diag([width, width, 1.0]), model, np.zeros(DISTORTION_MODELS[model][-1])
+    )
     kept, odd_points = list(views), 0
     odd_views: list[tuple[str, float]] = []
     state = _start(kept, nominal)
@@ -78,7 +80,7 @@ def fit_camera(views: Sequence[View], width: int, height: int, model: str, name:
     while True:
         state, kept, odd = _fit_without_odd(kept, state)
         odd_points += odd
-        rms = np.array([_rms(off) for off in residuals_of(state.camera, kept, state)])
+        rms = np.array([_rms(off) for off in residuals_of(kept, state)])
         worst = int(np.argmax(rms))
         few = len(odd_views) + 1 > MOST_ODD_VIEWS * len(views) or len(kept) <= 4
         if few or rms[worst] <= max(ODD_VIEW * np.median(rms), LEAST_ODD_PX):
@@ -87,7 +89,7 @@ def fit_camera(views: Sequence[View], width: int, height: int, model: str, name:
         del kept[worst]
         state = state.without(worst)
     held_out = _held_out(kept, state)
-    residuals = residuals_of(state.camera, kept, state)
+    residuals = residuals_of(kept, state)
     covariance = covariance_of(kept, state)
     return CameraFit(
         state.camera, covariance, tuple(kept), state.rotations, state.ts, tuple(residuals), rms, held_out,
@@ -136,7 +138,7 @@ def _start(views: list[View], nominal: Camera) -> State | None:
             np.array([pose[1] for pose in poses if pose is not None]),
         )
         state = refine(views, state, 20)
-        cost = float(np.median([_rms(off) for off in residuals_of(state.camera, views, state)]))
+        cost = float(np.median([_rms(off) for off in residuals_of(views, state)]))
         if np.isfinite(cost) and (best is None or cost < 0.99 * best[0]):
             best = cost, state
     return None if best is None else best[1]
@@ -165,7 +167,7 @@ def _fit_without_odd(views: list[View], state: State) -> tuple[State, list[View]
     state = refine(views, state)
     for _ in range(CORRECTIONS if views[0].seen.areas is not None else 0):
         state = refine(views, replace(state, dot_radius=dot_radius(views, state)))
-    off = residuals_of(state.camera, views, state)
+    off = residuals_of(views, state)
     _, scale = cost_of(np.concatenate(off))
     kept, odd = [], 0
     for view, away in zip(views, off, strict=True):
@@ -194,6 +196,6 @@ def _held_out(views: list[View], state: State) -> Floats:
         posed = refine(
             held, replace(state, camera=lens, rotations=state.rotations[fold], ts=state.ts[fold]), fixed_lens=True
         )
-        for k, off in zip(fold, residuals_of(lens, held, posed), strict=True):
+        for k, off in zip(fold, residuals_of(held, posed), strict=True):
             rms[k] = _rms(off)
     return rms

@@ -53,10 +53,10 @@ def values_of(camera: Camera) -> Floats:
     return np.concatenate([[m[0, 0], m[1, 1], m[0, 2], m[1, 2]], camera.distortion])
 
 
-def residuals_of(camera: Camera, views: Sequence[View], state: State) -> list[Floats]:
-    """Observed minus predicted of every view (n, 2) px, with another lens than the state's own."""
+def residuals_of(views: Sequence[View], state: State) -> list[Floats]:
+    """Observed minus predicted of every view (n, 2), px."""
     points, pixels, which = _stacked(views)
-    off = pixels - _predicted(replace(state, camera=camera), points, which)
+    off = pixels - _predicted(state, points, which)
     return np.split(off, np.nonzero(np.diff(which))[0] + 1)
 
 
