@@ -25,6 +25,7 @@ check: .venv/installed ## formatting, lint, types
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports
 
 format: .venv/installed ## format the code and sort the imports
 	$(BIN)/ruff format .

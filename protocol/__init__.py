@@ -11,5 +11,3 @@
 Times are integer nanoseconds since the Unix epoch. README.md beside this file is enough to write a client in
 another language.
 """
-
-VERSION = "0.1.0"

@@ -4,7 +4,6 @@ One FrameResult becomes some of these once; they are published, recorded and rep
 """
 
 from dataclasses import dataclass, field
-from functools import cache
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.geometry import Floats, Pose
@@ -80,27 +79,3 @@ class RobotPose:
     def orientation(self) -> Floats:
         """(4,) x y z w, of the robot in frame_id."""
         return self.pose.orientation
-
-
-@cache
-def descriptor_set(schema: str) -> bytes:
-    """The serialized FileDescriptorSet of a schema with all it depends on, dependencies first."""
-    from google.protobuf.descriptor_pb2 import FileDescriptorSet
-
-    # Importing the codec fills the default pool with every schema in use.
-    import asterism.protocol.codec  # noqa: F401
-
-    found = FileDescriptorSet()
-    seen: set[str] = set()
-
-    def add(file: object) -> None:
-        for dependency in file.dependencies:  # type: ignore[attr-defined]
-            add(dependency)
-        if file.name not in seen:  # type: ignore[attr-defined]
-            seen.add(file.name)  # type: ignore[attr-defined]
-            file.CopyToProto(found.file.add())  # type: ignore[attr-defined]
-
-    from google.protobuf.descriptor_pool import Default
-
-    add(Default().FindMessageTypeByName(schema).file)
-    return found.SerializeToString(deterministic=True)

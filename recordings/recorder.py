@@ -18,7 +18,8 @@ import numpy as np
 from mcap.writer import CompressionType
 from numpy.typing import NDArray
 
-from asterism.protocol import VERSION, keys
+from asterism import __version__
+from asterism.protocol import keys
 from asterism.protocol.codec import (
     decode_frame_report,
     encode_annotations,
@@ -66,7 +67,7 @@ class Recorder:
         self._frames_every = frames_every
         self._wait = wait
         metadata = {
-            "version": VERSION,
+            "version": __version__,
             "camera": rig.camera.name,
             "frame_id": rig.parent_frame,
             "source": source,

@@ -6,11 +6,12 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
-from asterism.protocol import VERSION
-from asterism.protocol.messages import Kind, Message, descriptor_set
+from asterism import __version__
+from asterism.protocol.messages import Kind, Message
+from asterism.protocol.schemas import descriptor_set
 from asterism.recordings.index import rebuild_index
 
-LIBRARY = f"asterism {VERSION}"
+LIBRARY = f"asterism {__version__}"
 CHUNK_BYTES = 1 << 20
 OFFSET_KEY = "led.offset: "  # of the metadata, before the name of a file that the rig's led.offset gives
 

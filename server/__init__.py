@@ -13,21 +13,21 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from asterism.protocol.rig import Rig, load_rig
-    from asterism.server.frame import Frame, FrameResult
-    from asterism.server.pipeline import localize
-    from asterism.server.solve import Lost, PoseEstimate
-    from asterism.server.track import Tracks
+    from asterism.server.chain.frame import Frame, FrameResult
+    from asterism.server.chain.pipeline import localize
+    from asterism.server.pose.solve import Lost, PoseEstimate
+    from asterism.server.pose.track import Tracks
 
 # The command line must start at once, so what is heavy (numba, OpenCV) is imported when it is first asked for.
 _HOMES = {
     "Rig": "asterism.protocol.rig",
     "load_rig": "asterism.protocol.rig",
-    "Frame": "asterism.server.frame",
-    "FrameResult": "asterism.server.frame",
-    "localize": "asterism.server.pipeline",
-    "Lost": "asterism.server.solve",
-    "PoseEstimate": "asterism.server.solve",
-    "Tracks": "asterism.server.track",
+    "Frame": "asterism.server.chain.frame",
+    "FrameResult": "asterism.server.chain.frame",
+    "localize": "asterism.server.chain.pipeline",
+    "Lost": "asterism.server.pose.solve",
+    "PoseEstimate": "asterism.server.pose.solve",
+    "Tracks": "asterism.server.pose.track",
 }
 
 __all__ = ["Frame", "FrameResult", "Lost", "PoseEstimate", "Rig", "Tracks", "load_rig", "localize"]

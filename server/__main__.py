@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from asterism.protocol import VERSION
+from asterism import __version__
 from asterism.protocol.errors import InputError, WorldError
-from asterism.server.calibration_arguments import add_calibration
-from asterism.server.number_arguments import count, number, positive
+from asterism.server.command.calibration_arguments import add_calibration
+from asterism.server.command.number_arguments import count, number, positive
 
 _EXAMPLES = """\
 asterism demo                                     five simulated robots: localized, published, recorded, watched
@@ -39,7 +39,7 @@ class _Parser(argparse.ArgumentParser):
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="asterism", description="One camera, several robots with six LEDs each.")
     parser.examples = _EXAMPLES
-    parser.add_argument("--version", action="version", version=f"asterism {VERSION}")
+    parser.add_argument("--version", action="version", version=f"asterism {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
 
     def command(name: str, summary: str, examples: str) -> argparse.ArgumentParser:
@@ -217,7 +217,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if error.name is None or error.name.startswith("asterism"):
             raise
         print(
-            f"asterism: {options.command} needs {error.name}; install it with: pip install 'asterism[all]'",
+            f"asterism: {options.command} needs {error.name}; "
+            "install it with: pip install 'asterism-localization[all]'",
             file=sys.stderr,
         )
         return 2

@@ -19,7 +19,7 @@ KEPT = 4  # folders of other versions that are left on disk
 def cache_folder() -> Path:
     """Where this version's machine code lies: below XDG_CACHE_HOME or ~/.cache."""
     contents = hashlib.sha256()
-    for module in sorted(Path(__file__).parent.glob("*.py")):
+    for module in sorted(Path(__file__).parent.rglob("*.py")):
         text = module.read_bytes()
         if b"import compiled" in text or module.name == Path(__file__).name:
             contents.update(text)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from asterism.server.warm_up import warm_up
+from asterism.server.chain.warm_up import warm_up
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -25,5 +25,5 @@ def _closed() -> Iterator[None]:
 
 @pytest.fixture
 def rng(request: pytest.FixtureRequest) -> np.random.Generator:
-    """A random generator that is the same in every run of the same test."""
-    return np.random.default_rng(zlib.crc32(request.node.nodeid.encode()))
+    """A random generator that is the same in every run of the same test, in whatever room it lies."""
+    return np.random.default_rng(zlib.crc32(f"tests/{request.node.nodeid.rpartition('/')[2]}".encode()))

@@ -52,11 +52,17 @@ def wait_for_line(process: subprocess.Popen[str], words: str) -> str:
 
 
 class Subscriber:
-    """tests/plain_subscriber.py in a process of its own: zenoh and the Foxglove schema, nothing of Asterism."""
+    """tests/service/plain_subscriber.py in a process of its own: zenoh and the Foxglove schema, nothing of Asterism."""
 
     def __init__(self, endpoint: str, out: Path, expression: str = "asterism/**") -> None:
         self._out = out
-        command = [sys.executable, str(REPOSITORY / "tests" / "plain_subscriber.py"), endpoint, str(out), expression]
+        command = [
+            sys.executable,
+            str(REPOSITORY / "tests" / "service" / "plain_subscriber.py"),
+            endpoint,
+            str(out),
+            expression,
+        ]
         while True:
             # A zenoh client whose server is not there yet gives up at once: try again.
             self._process = subprocess.Popen(

@@ -11,8 +11,8 @@ import pytest
 
 from asterism.protocol.rig import parse_rig
 from asterism.server.__main__ import _parser
-from asterism.server.demo_rig import DEMO_RIG
-from asterism.server.uncertainty import KEYS, read_uncertainty
+from asterism.server.budget.uncertainty import KEYS, read_uncertainty
+from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.helpers import REPOSITORY
 from tests.servers import free_endpoint, running
 

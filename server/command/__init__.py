@@ -1,1 +1,1 @@
-"""One module a command, each with `run(options) -> exit code`; imported only when the command is asked for."""
+"""One module a command: its arguments and its run(options) -> exit code."""

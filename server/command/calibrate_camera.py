@@ -12,20 +12,21 @@ from rich.table import Table
 from asterism.protocol.camera import parse_camera
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.keys import key_problem
-from asterism.server.board_points import Seen, find_points
-from asterism.server.camera_calibration import calibrate_camera, implausible, refuse_too_few
-from asterism.server.camera_file import camera_text, report_path, report_text
-from asterism.server.camera_fit import CameraFit, ends_inside
-from asterism.server.camera_plots import coverage_png, residuals_png
+from asterism.server.calibration.lens.board_points import Seen, find_points
+from asterism.server.calibration.lens.bundle import View
+from asterism.server.calibration.lens.calibration import calibrate_camera, implausible, refuse_too_few
+from asterism.server.calibration.lens.camera_file import camera_text, report_path, report_text
+from asterism.server.calibration.lens.coverage import COLUMNS, ROWS, empty_parts, missing, points_by_cell, signature
+from asterism.server.calibration.lens.fit import CameraFit, ends_inside
+from asterism.server.calibration.lens.plots import coverage_png, residuals_png
+from asterism.server.calibration.lens.targets import Target, parse_target
+from asterism.server.calibration.result_file import check_result_file, write_result_file
+from asterism.server.chain.frame import Frame
+from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.progress import progress
-from asterism.server.command.say import say
-from asterism.server.coverage import COLUMNS, ROWS, empty_parts, missing, points_by_cell, signature
-from asterism.server.frame import Frame
-from asterism.server.lens_bundle import View
-from asterism.server.result_file import check_result_file, write_result_file
-from asterism.server.sources import Source, open_source
-from asterism.server.targets import Target, parse_target
-from asterism.server.warm_up import warm_up
+from asterism.server.service.say import say
+from asterism.server.sources.open_source import open_source
+from asterism.server.sources.source import Source
 
 SAMPLES = 5  # images that are kept for a hint
 STILL_PX = 1.0  # between two frames of a live camera: the board is held still

@@ -10,14 +10,14 @@ from rich.table import Table
 
 from asterism.protocol.errors import InputError
 from asterism.protocol.rig import load_rig, parse_rig
+from asterism.server.calibration.leds.calibration import LedCalibration, calibrate_leds, moved_by, tilt_spread_deg
+from asterism.server.calibration.result_file import check_result_file, write_result_file
+from asterism.server.calibration.rewrite import relocate, rewrite
+from asterism.server.chain.frame import Frame
+from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.progress import progress
-from asterism.server.command.say import say
-from asterism.server.frame import Frame
-from asterism.server.led_calibration import LedCalibration, calibrate_leds, moved_by, tilt_spread_deg
-from asterism.server.result_file import check_result_file, write_result_file
-from asterism.server.rewrite import relocate, rewrite
-from asterism.server.sources import open_source, refuse_endless
-from asterism.server.warm_up import warm_up
+from asterism.server.service.say import say
+from asterism.server.sources.open_source import open_source, refuse_endless
 
 DECIMALS = 7  # of positions in m: a tenth of a micrometre
 

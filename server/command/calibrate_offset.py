@@ -8,17 +8,17 @@ from rich.table import Table
 
 from asterism.protocol.led_offset import parse_offset
 from asterism.protocol.rig import load_rig
+from asterism.server.calibration.leds.observations import observe
+from asterism.server.calibration.result_file import check_result_file, write_result_file
+from asterism.server.calibration.rewrite import number
+from asterism.server.calibration.survey.offset import BAND_DEG, FEWEST_POSES, OffsetCalibration, calibrate_offset
+from asterism.server.calibration.survey.survey import read_survey
+from asterism.server.calibration.survey.surveyed import check_survey, pair
+from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.progress import progress
-from asterism.server.command.say import say
-from asterism.server.led_optics import check_cover
-from asterism.server.observations import observe
-from asterism.server.offset_calibration import BAND_DEG, FEWEST_POSES, OffsetCalibration, calibrate_offset
-from asterism.server.result_file import check_result_file, write_result_file
-from asterism.server.rewrite import number
-from asterism.server.sources import open_source, refuse_endless
-from asterism.server.survey import read_survey
-from asterism.server.surveyed import check_survey, pair
-from asterism.server.warm_up import warm_up
+from asterism.server.pose.led_optics import check_cover
+from asterism.server.service.say import say
+from asterism.server.sources.open_source import open_source, refuse_endless
 
 DECIMALS = 10  # of coefficients in m
 TABLE_DEG = 15

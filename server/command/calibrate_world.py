@@ -10,19 +10,19 @@ from rich.table import Table
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.rig import Rig, load_rig, parse_rig
-from asterism.server.board_points import find_points
+from asterism.server.calibration.leds.observations import observe
+from asterism.server.calibration.lens.board_points import find_points
+from asterism.server.calibration.lens.targets import parse_target
+from asterism.server.calibration.result_file import check_result_file, write_result_file
+from asterism.server.calibration.rewrite import relocate, rewrite
+from asterism.server.calibration.survey.survey import read_survey
+from asterism.server.calibration.survey.surveyed import pair
+from asterism.server.calibration.survey.world import WorldFit, fit_world, without_world
+from asterism.server.calibration.survey.world_board import View, fit_board
+from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.progress import progress
-from asterism.server.command.say import say
-from asterism.server.observations import observe
-from asterism.server.result_file import check_result_file, write_result_file
-from asterism.server.rewrite import relocate, rewrite
-from asterism.server.sources import open_source, refuse_endless
-from asterism.server.survey import read_survey
-from asterism.server.surveyed import pair
-from asterism.server.targets import parse_target
-from asterism.server.warm_up import warm_up
-from asterism.server.world import WorldFit, fit_world, without_world
-from asterism.server.world_board import View, fit_board
+from asterism.server.service.say import say
+from asterism.server.sources.open_source import open_source, refuse_endless
 
 MOST_ROWS = 40
 TURNED_DEG = 5.0  # a survey whose orientations are off by more is probably another frame's

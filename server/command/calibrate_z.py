@@ -13,19 +13,19 @@ from asterism.protocol.geometry import Floats, angle_between
 from asterism.protocol.rig import Rig, Robot, load_rig, parse_rig
 from asterism.protocol.yaml_file import parse_yaml
 from asterism.protocol.z_correction import ZCorrection
+from asterism.server.calibration.leds.labelled import solve_sightings
+from asterism.server.calibration.leds.observations import observe
+from asterism.server.calibration.result_file import check_result_file, write_result_file
+from asterism.server.calibration.rewrite import Value, number, relocate, rewrite, without
+from asterism.server.calibration.survey.refit import Refit, refit
+from asterism.server.calibration.survey.super_plane import LEAST_GAIN, SuperPlane, choose_plane
+from asterism.server.calibration.survey.survey import read_survey
+from asterism.server.calibration.survey.surveyed import Pairs, check_spread, check_survey, pair
+from asterism.server.calibration.survey.surveyed_fit import errors_of
+from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.progress import progress
-from asterism.server.command.say import say
-from asterism.server.labelled import solve_sightings
-from asterism.server.observations import observe
-from asterism.server.refit import Refit, refit
-from asterism.server.result_file import check_result_file, write_result_file
-from asterism.server.rewrite import Value, number, relocate, rewrite, without
-from asterism.server.sources import open_source, refuse_endless
-from asterism.server.super_plane import LEAST_GAIN, SuperPlane, choose_plane
-from asterism.server.survey import read_survey
-from asterism.server.surveyed import Pairs, check_spread, check_survey, pair
-from asterism.server.surveyed_fit import errors_of
-from asterism.server.warm_up import warm_up
+from asterism.server.service.say import say
+from asterism.server.sources.open_source import open_source, refuse_endless
 
 FEWEST_POSES = 20
 DIGITS = 9  # of the z_correction's shares

@@ -10,10 +10,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from asterism.protocol.rig import load_rig
-from asterism.server.command.say import say
-from asterism.server.pose_bounds import Bound
-from asterism.server.rig_check import KINDS, SIGMA_PX, TYPICAL_DEG, RigCheck, check_rig
-from asterism.server.telling_apart import SIGMAS
+from asterism.server.design.pose_bounds import Bound
+from asterism.server.design.rig_check import KINDS, SIGMA_PX, TYPICAL_DEG, RigCheck, check_rig
+from asterism.server.design.telling_apart import SIGMAS
+from asterism.server.service.say import say
 
 MOST_ROWS = 12  # robots that are listed
 

@@ -13,12 +13,12 @@ from asterism.protocol.codec import encode_rig
 from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
 from asterism.protocol.rig import load_rig
 from asterism.recordings.recorder import Recorder
-from asterism.server.demo_rig import DEMO_RIG
-from asterism.server.publish import Publisher
-from asterism.server.serve import Stop, serve, stop_on_signals
-from asterism.server.simulate import Look
-from asterism.server.sources import Simulated
-from asterism.server.warm_up import warm_up
+from asterism.server.chain.warm_up import warm_up
+from asterism.server.service.publish import Publisher
+from asterism.server.service.serve import Stop, serve, stop_on_signals
+from asterism.server.simulation.demo_rig import DEMO_RIG
+from asterism.server.simulation.simulate import Look
+from asterism.server.sources.simulated import Simulated
 
 # A well-shaded camera: its dark background packs well, so that the demonstration's recording stays small.
 LOOK = Look(background=4.0, read_noise=0.2)

@@ -10,12 +10,12 @@ from rich.table import Table
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import parse_rig
-from asterism.server.command.say import say
-from asterism.server.drill_plan import drill_plan
-from asterism.server.page import pdf, svg
-from asterism.server.plate_design import FOCAL_PX, LED_RADIUS, RIM, Design, Request, design
-from asterism.server.plate_files import camera_text, rig_text
-from asterism.server.telling_apart import SIGMAS, TILT_DEG, image_px
+from asterism.server.design.drill_plan import drill_plan
+from asterism.server.design.page import pdf, svg
+from asterism.server.design.plate_design import FOCAL_PX, LED_RADIUS, RIM, Design, Request, design
+from asterism.server.design.plate_files import camera_text, rig_text
+from asterism.server.design.telling_apart import SIGMAS, TILT_DEG, image_px
+from asterism.server.service.say import say
 
 
 def run(options: argparse.Namespace) -> int:

@@ -11,15 +11,15 @@ import msgspec
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.geometry import Pose
 from asterism.protocol.rig import load_rig
+from asterism.server.chain.frame import Frame, FrameResult
+from asterism.server.chain.pipeline import localize
+from asterism.server.chain.smooth import Motions, smooth
+from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.progress import progress
-from asterism.server.command.say import say, say_warnings
-from asterism.server.frame import Frame, FrameResult
-from asterism.server.pipeline import localize
-from asterism.server.smooth import Motions, smooth
-from asterism.server.solve import PoseEstimate
-from asterism.server.sources import open_source, refuse_endless
-from asterism.server.track import Tracks
-from asterism.server.warm_up import warm_up
+from asterism.server.pose.solve import PoseEstimate
+from asterism.server.pose.track import Tracks
+from asterism.server.service.say import say, say_warnings
+from asterism.server.sources.open_source import open_source, refuse_endless
 
 
 def run(options: argparse.Namespace) -> int:

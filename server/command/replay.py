@@ -12,9 +12,9 @@ from asterism.protocol.messages import FRAME_REPORT, Message
 from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
 from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.reader import Recording
-from asterism.server.command.say import say
-from asterism.server.publish import Publisher, is_alive
-from asterism.server.serve import Stop, stop_on_signals
+from asterism.server.service.publish import Publisher, is_alive
+from asterism.server.service.say import say
+from asterism.server.service.serve import Stop, stop_on_signals
 
 PREFIX = "replay/"
 LOCATED = (pb.TRACKED, pb.TILT_AMBIGUOUS)
@@ -63,11 +63,11 @@ def _wire(messages: Iterator[Message]) -> Iterator[Message]:
 def _solved(recording: Recording, rig: Rig) -> Iterator[Message]:
     """The messages that the recorded frames make with this rig, at the frames' own times."""
     from asterism.protocol.camera import check_image_size
-    from asterism.server.frame import Frame
-    from asterism.server.pipeline import localize
-    from asterism.server.report import report
-    from asterism.server.track import Tracks
-    from asterism.server.warm_up import warm_up
+    from asterism.server.chain.frame import Frame
+    from asterism.server.chain.pipeline import localize
+    from asterism.server.chain.report import report
+    from asterism.server.chain.warm_up import warm_up
+    from asterism.server.pose.track import Tracks
 
     warm_up()
     tracks = Tracks.none()

@@ -10,18 +10,18 @@ from rich.table import Table
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.rig import Rig, load_rig
 from asterism.protocol.yaml_file import parse_yaml
-from asterism.server.budget import SOURCES, Light
-from asterism.server.budget_page import page
-from asterism.server.budget_plots import plots_of
-from asterism.server.budget_truth import Bin, Compared, bins_of, compare, light_of
+from asterism.server.budget.budget import SOURCES, Light
+from asterism.server.budget.page import page
+from asterism.server.budget.plots import plots_of
+from asterism.server.budget.truth import Bin, Compared, bins_of, compare, light_of
+from asterism.server.budget.uncertainty import Uncertainty, read_uncertainty
+from asterism.server.budget.workspace import Budget, budget_of
+from asterism.server.calibration.leds.observations import observe
+from asterism.server.calibration.survey.survey import match_frames, read_survey
+from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.progress import progress
-from asterism.server.command.say import say
-from asterism.server.observations import observe
-from asterism.server.sources import open_source, refuse_endless
-from asterism.server.survey import match_frames, read_survey
-from asterism.server.uncertainty import Uncertainty, read_uncertainty
-from asterism.server.warm_up import warm_up
-from asterism.server.workspace import Budget, budget_of
+from asterism.server.service.say import say
+from asterism.server.sources.open_source import open_source, refuse_endless
 
 PAGE = "report.html"
 

@@ -8,11 +8,11 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
 from asterism.protocol.rig import load_rig
 from asterism.recordings.recorder import Recorder
-from asterism.server.command.say import say, say_warnings
-from asterism.server.publish import Publisher
-from asterism.server.serve import Sink, Stop, serve, stop_on_signals
-from asterism.server.sources import open_source
-from asterism.server.warm_up import warm_up
+from asterism.server.chain.warm_up import warm_up
+from asterism.server.service.publish import Publisher
+from asterism.server.service.say import say, say_warnings
+from asterism.server.service.serve import Sink, Stop, serve, stop_on_signals
+from asterism.server.sources.open_source import open_source
 
 
 def run(options: argparse.Namespace) -> int:
@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
         warm_up()
         sinks: tuple[Sink, ...] = ()
         if options.rerun:
-            from asterism.server.live_view import LiveView
+            from asterism.server.service.live_view import LiveView
 
             sinks = (stack.enter_context(LiveView(rig)).write,)
         recorder = None

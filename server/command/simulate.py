@@ -12,9 +12,9 @@ from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.rig import Rig, load_rig
 from asterism.protocol.yaml_file import parse_yaml
 from asterism.server.command.progress import progress
-from asterism.server.hand_film import hand_pose
-from asterism.server.simulate import Look, Scene
-from asterism.server.sources import DEFAULT_RATE_HZ
+from asterism.server.simulation.hand_film import hand_pose
+from asterism.server.simulation.simulate import Look, Scene
+from asterism.server.sources.source import DEFAULT_RATE_HZ
 
 
 def run(options: argparse.Namespace) -> int:

@@ -15,8 +15,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from tests.chain.judging import judge
 from tests.helpers import SHARED
-from tests.judging import judge
 
 LEAST = {"clutter": 5, "occluded": 5, "ghosts": 5}  # a robot counts from that many visible LEDs on; elsewhere from six
 

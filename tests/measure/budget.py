@@ -17,11 +17,11 @@ from rich.table import Table
 
 from asterism.protocol.geometry import Pose, log_rotation
 from asterism.server import Frame, PoseEstimate, Tracks, localize
-from asterism.server.budget import COMPONENTS, TILTS, Light, covariances_of, poses_at
-from asterism.server.simulate import Scene, Truth
-from asterism.server.uncertainty import Uncertainty
-from tests.error_sources import Errors
-from tests.judging import TILTED_RAD
+from asterism.server.budget.budget import COMPONENTS, TILTS, Light, covariances_of, poses_at
+from asterism.server.budget.uncertainty import Uncertainty
+from asterism.server.simulation.simulate import Scene, Truth
+from tests.budget.error_sources import Errors
+from tests.chain.judging import TILTED_RAD
 from tests.rigs import make_rig
 
 DISTANCES = (0.8, 1.2, 1.9)  # m

@@ -7,7 +7,7 @@ that is honest, near 0 where `zernike` fell back to the moments' centre. "lost":
 counted once per estimator. OUT.png receives a plot.
 
 At a radius of 1 px size and point spread look alike, and the rendering's own errors pass for the difference: the bound
-of tests/bounds.py is up to 1.4 times too high there, and left out.
+of tests/centres/bounds.py is up to 1.4 times too high there, and left out.
 """
 
 import sys
@@ -23,9 +23,9 @@ from rich.table import Table
 
 from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import ESTIMATORS
-from tests.bounds import GAIN, READ, centre_bound
-from tests.rendering import Canvas
-from tests.test_segmentation import blobs_of
+from tests.centres.bounds import GAIN, READ, centre_bound
+from tests.centres.rendering import Canvas
+from tests.segmentation.test_segmentation import blobs_of
 
 TRIALS, BOUNDS, PHASES = 400, 8, 100  # images a row, bounds a row, images a row without noise
 SIZE, LARGEST_PX = 64, 20.0

@@ -1,8 +1,8 @@
 """The plates of `asterism design`, judged by trying everything: `python -m tests.measure.design [ROBOTS]`.
 
 The command runs twice: with an empty folder for compiled code (the first start on a machine), and again. Its rig is
-then judged without anything of the product's search (`tests.separations`): every order of every five and six LEDs
-against every choice of the other's, both directions, every robot with itself, maps that mirror included.
+then judged without anything of the product's search (tests/identity/separations.py): every order of every five and six
+LEDs against every choice of the other's, both directions, every robot with itself, maps that mirror included.
 """
 
 import os
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from asterism.protocol.yaml_file import read_yaml
-from tests.separations import brute_force
+from tests.identity.separations import brute_force
 from tests.servers import asterism
 
 DISC, SPACING = 0.1, 0.02

@@ -15,13 +15,13 @@ from rich.progress import track
 from rich.table import Table
 
 from asterism.protocol.geometry import Floats
-from asterism.server.lens import lens_of
-from asterism.server.linear_pose import pose_by_homography
-from asterism.server.pipeline import SURE
-from asterism.server.solve import solve_robots
-from asterism.server.spot_shift import OPTICS
+from asterism.server.chain.pipeline import SURE
+from asterism.server.pose.lens import lens_of
+from asterism.server.pose.linear_pose import pose_by_homography
+from asterism.server.pose.solve import solve_robots
+from asterism.server.pose.spot_shift import OPTICS
+from tests.chain.judging import TILTED_RAD
 from tests.helpers import facing_pose
-from tests.judging import TILTED_RAD
 from tests.rigs import make_camera, random_layout
 
 LAYOUTS = 200

@@ -19,9 +19,9 @@ from rich.table import Table
 from asterism.protocol.geometry import Pose, log_rotation
 from asterism.protocol.rig import Rig
 from asterism.server import Frame, PoseEstimate, Tracks, localize
-from asterism.server.simulate import Look, Scene, Truth
+from asterism.server.simulation.simulate import Look, Scene, Truth
+from tests.chain.judging import TILTED_RAD
 from tests.helpers import conic_centres, facing_pose
-from tests.judging import TILTED_RAD
 from tests.rigs import make_camera, make_rig
 
 BRIGHT = Look(psf_px=0.85, brightness=180.0, gain=0.03, read_noise=1.2)

@@ -4,7 +4,7 @@ Rendered frames with clutter, hidden LEDs, reflections, strangers and robots sid
 LED is "in place" if a spot that was kept lies within one pixel of where the LED truly is: what is lost before is the
 image's fault or the segmentation's, what is lost after is identification's. "covered": clutter or another LED is in its
 way. "wrong": more than 20 mm off, the other tilt too if it is told, or not there; "tilt": more than 5 degrees off in
-silence (tests/judging.py); "strained": neither, but the squared error is 60 or more in units of the covariance.
+silence (tests/chain/judging.py); "strained": neither, but the squared error is 60 or more in units of the covariance.
 Everything is seeded: whatever is listed below the tables can be had again as `SCENES[name](number)`.
 """
 
@@ -26,9 +26,9 @@ from scipy.special import erf
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.rig import Rig
 from asterism.server import Frame, Lost, PoseEstimate, Tracks, localize
-from asterism.server.lens import project_point
-from asterism.server.simulate import Look, Scene, Truth, quadrature, trace_disc
-from tests.judging import Judged
+from asterism.server.pose.lens import project_point
+from asterism.server.simulation.simulate import Look, Scene, Truth, quadrature, trace_disc
+from tests.chain.judging import Judged
 from tests.rigs import make_rig
 
 LOOK = Look()

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from asterism.protocol.rig import load_rig
-from asterism.server.bundle import rigid_fit
-from asterism.server.led_calibration import calibrate_leds
-from asterism.server.simulate import Look
-from asterism.server.sources import open_source
-from tests.films import write_film
+from asterism.server.calibration.leds.bundle import rigid_fit
+from asterism.server.calibration.leds.calibration import calibrate_leds
+from asterism.server.simulation.simulate import Look
+from asterism.server.sources.open_source import open_source
+from tests.calibration.leds.films import write_film
 from tests.servers import asterism
 
 

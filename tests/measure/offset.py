@@ -1,6 +1,6 @@
 """LEDs under domes, traced exactly, with reflections: `python -m tests.measure.offset [--survey N] [--poses N]`.
 
-A surveyed film is rendered (tests/rendering.py, every LED where tests/traced_leds.py says that it is seen, 0.7 to 1.2
+A surveyed film is rendered (tests/centres/rendering.py; every LED is seen where traced_leds.py says, 0.7 to 1.2
 m, 0 to 55 degrees, 1280x1024, f = 1400 px, noise of camera and light) and given to `asterism calibrate offset`; then
 other poses at 0.8 m and 45 degrees are rendered and located: LEDs without any offset, domes with the plain rig, domes
 with the rig that names led.yaml.
@@ -15,11 +15,11 @@ import numpy as np
 
 from asterism.protocol.geometry import Floats, Pose, angle_between
 from asterism.protocol.rig import Rig, load_rig
-from tests.frames import alone, draw, estimates
+from tests.calibration.survey.surveys import Apparent, write_frames, write_rig, write_survey
+from tests.calibration.survey.traced_leds import DOME, WINDOW, seen_at
+from tests.chain.frames import alone, draw, estimates
 from tests.helpers import facing_pose
 from tests.servers import asterism
-from tests.surveys import Apparent, write_frames, write_rig, write_survey
-from tests.traced_leds import DOME, WINDOW, seen_at
 
 
 def main() -> int:

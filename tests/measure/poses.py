@@ -1,10 +1,10 @@
 """Poses against the Cramer-Rao bound, and the honesty of covariances and tilts: `python -m tests.measure.poses`.
 
 One robot at a time, anywhere in the image, at given distances and tilts: rendered, located alone, compared with the
-truth. The bound takes every LED's centre at its own Cramer-Rao bound (tests/bounds.py). Printed per cell: the median
-minor radius of the spots, RMSE over bound of each component (without flips) for the refined pose and of z and the
-rotation about x for the linear stages (`linear_pose`: by depths, by the homography) from the same spots, NEES (6 where
-covariances are honest), and flips (more than 5 degrees off, nearer to the other minimum), of which silent:
+truth. The bound takes every LED's centre at its own Cramer-Rao bound (tests/centres/bounds.py). Printed per cell: the
+median minor radius of the spots, RMSE over bound of each component (without flips) for the refined pose and of z and
+the rotation about x for the linear stages (`linear_pose`: by depths, by the homography) from the same spots, NEES (6
+where covariances are honest), and flips (more than 5 degrees off, nearer to the other minimum), of which silent:
 `alternative` does not hold the truth. Takes minutes: the bounds are differences of rendered images.
 """
 
@@ -19,10 +19,10 @@ from rich.table import Table
 from asterism.protocol.geometry import Floats, Pose, angle_between, exp_rotation, log_rotation
 from asterism.protocol.rig import Rig
 from asterism.server import Frame, FrameResult, PoseEstimate, Tracks, localize
-from asterism.server.lens import lens_of, undistort
-from asterism.server.linear_pose import pose_by_depths, pose_by_homography
-from asterism.server.simulate import Look, Scene, Truth
-from tests.bounds import centre_bound, pose_bound
+from asterism.server.pose.lens import lens_of, undistort
+from asterism.server.pose.linear_pose import pose_by_depths, pose_by_homography
+from asterism.server.simulation.simulate import Look, Scene, Truth
+from tests.centres.bounds import centre_bound, pose_bound
 from tests.helpers import facing_pose
 from tests.rigs import make_camera, make_rig
 

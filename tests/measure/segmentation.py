@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.protocol.messages import Fate
-from asterism.server.blobs import Blobs, Scratch, find_blobs
-from asterism.server.images import read_image
-from asterism.server.plan import LARGEST_SPOT
+from asterism.server.centres.blobs import Blobs, Scratch, find_blobs
+from asterism.server.identity.plan import LARGEST_SPOT
+from asterism.server.sources.images import read_image
 from tests.helpers import SHARED
 
 ZOOM = 2

@@ -23,9 +23,9 @@ from rich.table import Table
 from asterism.protocol.geometry import Pose, angle_between
 from asterism.protocol.rig import load_rig
 from asterism.recordings.reader import Recording
-from asterism.server.demo_rig import DEMO_RIG
-from asterism.server.warm_up import warm_up
-from tests.judging import truth_of
+from asterism.server.chain.warm_up import warm_up
+from asterism.server.simulation.demo_rig import DEMO_RIG
+from tests.chain.judging import truth_of
 from tests.servers import Subscriber, asterism, free_endpoint, open_router, running
 
 RATE, FRAMES = 60, 600

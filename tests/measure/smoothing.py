@@ -17,11 +17,11 @@ from rich.table import Table
 from asterism.protocol.geometry import Floats, Pose, log_rotation
 from asterism.protocol.rig import Rig, load_rig
 from asterism.server import Frame, FrameResult, PoseEstimate, Tracks, localize
-from asterism.server.demo_rig import DEMO_RIG
-from asterism.server.simulate import Look, Scene
-from asterism.server.smooth import Motions, smooth
+from asterism.server.chain.smooth import Motions, smooth
+from asterism.server.simulation.demo_rig import DEMO_RIG
+from asterism.server.simulation.simulate import Look, Scene
+from tests.chain.judging import truth_of
 from tests.helpers import SHARED
-from tests.judging import truth_of
 
 STEP_NS = 16_666_667
 SPEEDS = (0.0, 0.03, 0.1, 0.3, 1.0)

@@ -24,13 +24,15 @@ from rich.table import Table
 from asterism.protocol.camera import Camera
 from asterism.protocol.geometry import Pose, angle_between
 from asterism.protocol.rig import Rig
-from asterism.server import Frame, PoseEstimate, Tracks, blobs, localize, pipeline
-from asterism.server.background import background_of, seed_thresholds
-from asterism.server.components import connect
-from asterism.server.plan import plan_for
-from asterism.server.segment import SEED_LEAST, SEED_SIGMAS
-from asterism.server.simulate import Scene
-from asterism.server.spots import measure_spots
+from asterism.server import Frame, PoseEstimate, Tracks, localize
+from asterism.server.centres import blobs
+from asterism.server.chain import pipeline
+from asterism.server.identity.plan import plan_for
+from asterism.server.segmentation.background import background_of, seed_thresholds
+from asterism.server.segmentation.components import connect
+from asterism.server.segmentation.segment import SEED_LEAST, SEED_SIGMAS
+from asterism.server.segmentation.spots import measure_spots
+from asterism.server.simulation.simulate import Scene
 from tests.measure import tags
 from tests.measure.plain_chain import PlainChain
 from tests.rigs import make_camera, make_rig

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.rig import Rig
-from asterism.server.simulate import Truth
+from asterism.server.simulation.simulate import Truth
 
 TAG_M = 0.1  # outer side of the black frame: the diameter of the robots' discs
 CELLS = 8  # of a tag of this family, frame included

@@ -17,12 +17,10 @@ import numpy as np
 
 from asterism.protocol.rig import Rig, load_rig
 from asterism.protocol.z_correction import ZCorrection
-from asterism.server.refit import refit
-from asterism.server.super_plane import choose_plane, fit_plane
-from asterism.server.surveyed import Pairs
-from tests.helpers import facing_pose
-from tests.servers import asterism
-from tests.surveys import (
+from asterism.server.calibration.survey.refit import refit
+from asterism.server.calibration.survey.super_plane import choose_plane, fit_plane
+from asterism.server.calibration.survey.surveyed import Pairs
+from tests.calibration.survey.surveys import (
     off_rig,
     rim_layout,
     survey_pairs,
@@ -32,6 +30,8 @@ from tests.surveys import (
     write_survey,
     z_errors,
 )
+from tests.helpers import facing_pose
+from tests.servers import asterism
 
 EVALUATED = 1500
 

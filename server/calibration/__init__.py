@@ -1,0 +1,1 @@
+"""What finds a rig's errors and removes them."""

@@ -1,0 +1,1 @@
+"""The LEDs' positions, from a film of their robot."""

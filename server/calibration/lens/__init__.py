@@ -1,0 +1,1 @@
+"""The camera's lens, from views of a flat board."""

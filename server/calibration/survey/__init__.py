@@ -1,0 +1,1 @@
+"""World, LED optics and Z, from robots at surveyed poses."""

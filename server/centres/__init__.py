@@ -1,0 +1,1 @@
+"""From spots to sub-pixel centres with covariance."""

@@ -1,0 +1,84 @@
+"""Every bright spot of a frame, with its sub-pixel centre and its fate."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.protocol.geometry import Floats
+from asterism.protocol.messages import Fate
+from asterism.server.centres.centre import ESTIMATOR_NUMBERS, refine_centres
+from asterism.server.segmentation.background import BLOCK_ROWS
+from asterism.server.segmentation.components import COMPONENT_COLUMNS, hot_width
+from asterism.server.segmentation.segment import describe, segment
+from asterism.server.segmentation.spots import SPOT_COLUMNS
+
+Ints = NDArray[np.int64]
+
+MOST_RUNS = 60_000
+MOST_SPOTS = 4_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blobs:
+    """n bright spots; row i of every array is the same spot.
+
+    ``centres_px`` (n, 2); ``covariances_px2`` (n, 3) xx, xy, yy of the centres (0 for rejected spots); ``heights``
+    (n,) grey levels above the local background; ``radii_px`` (n,); ``fates`` (n,) as in the frame report;
+    ``robots`` and ``leds`` (n,) say whose LED it is, -1 for nobody's (robots in the rig's order); ``table`` is the spot
+    table they come from.
+    """
+
+    centres_px: Floats
+    covariances_px2: Floats
+    heights: Floats
+    radii_px: Floats
+    fates: Ints
+    robots: Ints
+    leds: Ints
+    table: Floats
+
+    def __len__(self) -> int:
+        return len(self.fates)
+
+    @property
+    def kept(self) -> Ints:
+        """Rows of the spots that were not rejected."""
+        return np.flatnonzero((self.fates == Fate.UNEXPLAINED) | (self.fates == Fate.LED))
+
+
+class Scratch:
+    """Work arrays for frames of one size, reused so that no frame pays for fresh memory."""
+
+    def __init__(self, height: int, width: int) -> None:
+        blocks = (height + BLOCK_ROWS - 1) // BLOCK_ROWS
+        self.thresholds = np.empty((blocks, width), np.uint8)
+        self.hot = np.zeros(hot_width(width), np.uint8)
+        self.runs = np.empty((MOST_RUNS, 3), np.int32)
+        self.parent = np.empty(MOST_RUNS, np.int32)
+        self.components = np.empty((MOST_SPOTS, COMPONENT_COLUMNS), np.int32)
+        self.spots = np.empty((MOST_SPOTS, SPOT_COLUMNS))
+
+
+def find_blobs(
+    image: NDArray[np.uint8],
+    largest_radius_px: float,
+    masks: Ints,
+    estimator: str,
+    scratch: Scratch,
+) -> Blobs:
+    """Segment an (h, w) uint8 image and centre what looks like an LED.
+
+    ``masks`` (m, 4) are x0, y0, x1, y1 px inclusive; ``estimator`` is one of protocol.rig.ESTIMATORS.
+    """
+    n = segment(
+        image, largest_radius_px, masks, scratch.thresholds, scratch.hot, scratch.runs,
+        scratch.parent, scratch.components, scratch.spots,
+    )  # fmt: skip
+    spots = scratch.spots[:n].copy()
+    centres, covariances = np.empty((n, 2)), np.empty((n, 3))
+    refine_centres(image, spots, ESTIMATOR_NUMBERS[estimator], centres, covariances)
+    heights, radii = np.empty(n), np.empty(n)
+    fates, robots, leds = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    describe(spots, heights, radii, fates, robots, leds)
+    return Blobs(centres, covariances, heights, radii, fates, robots, leds, spots)

@@ -1,0 +1,185 @@
+"""Sub-pixel centres of the kept spots, by the estimator that the rig asks for, each with its covariance."""
+
+import math
+
+import numpy as np
+
+from asterism.server.centres.clip import fit_clip
+from asterism.server.centres.edge_model import BLUR_PX, PARAMETERS, SUMS, fit_edge_model
+from asterism.server.centres.grey_square import fit_grey_square
+from asterism.server.centres.leaning import fit_leaning
+from asterism.server.centres.zernike import fit_zernike
+from asterism.server.compiled import compiled
+from asterism.server.segmentation.pixels import room_for
+from asterism.server.segmentation.spots import (
+    AT_EDGE,
+    FATE,
+    HEIGHT,
+    MISFIT,
+    NOISE,
+    SEMI_A,
+    SEMI_B,
+    SHOULDER,
+    TOO_FAINT,
+    TOUCHING,
+    UNEXPLAINED,
+    WX0,
+    WX1,
+    WY0,
+    WY1,
+    X,
+    Y,
+)
+
+ESTIMATOR_NUMBERS = {"edge-model": 0, "grey-square": 1, "clip": 2, "zernike": 3}
+
+GAIN = 0.035  # expected variance per grey level of light: a sensor of 7000 electrons at grey level 255
+GAIN_SIGMA = 0.02  # how well that is known before a frame's own residuals have told
+CLEAN_MISFIT = 1.5  # chi squared per degree of freedom up to which a spot tells of the sensor's noise
+LEAST_TELLING_PX, ROUND = 1.8, 0.7  # small and flat spots do not: the model's own error looks like noise there
+STRANGE_MISFIT = 1.6  # beyond this the model does not hold, and the centre may be off
+GOOD_MISFIT, EVEN = 1.3, 2.5  # a fit with no more misfit and no more light to one side has nothing beside it
+MISFIT_SHIFT_PX = 0.05  # by about this much where it is twice as large as noise makes it
+NEIGHBOUR_REACH_PX = 9.0  # spots farther apart than this, edge to edge, do not disturb one another
+MOST_NEIGHBOURS = 8
+ONE_SIDED = 4.5  # sigmas of light to one side of a spot beyond which there is other light
+LEANING_ERROR_PX = 0.06  # the light beside a spot is no exact Gaussian
+UNEXPLAINED_LIGHT_PX = 0.15  # light to one side that no fit explains moves the centre about this far
+TOUCHING_PX = 4.0  # a spot that was split from another is fitted together with it if it is this near
+LARGEST_LEANING = 3.0  # and not this many times larger: a lamp is no round Gaussian
+
+
+@compiled
+def _neighbours_of(spots, order, place, widest, neighbours, other):
+    """Fill ``neighbours`` (k, 3) x, y, radius px with the spots near the one at ``place``; return their count.
+
+    ``other`` (4,) receives x, y, height and radius of the brightest of those that were split from it, if it is no
+    lamp; its height is 0 where there is none.
+    """
+    n = order.shape[0]
+    spot = spots[order[place]]
+    count = 0
+    other[:] = 0.0
+    for direction in (-1, 1):
+        step = place + direction
+        while 0 <= step < n:
+            near = spots[order[step]]
+            if abs(near[X] - spot[X]) > spot[SEMI_A] + widest + NEIGHBOUR_REACH_PX:
+                break
+            away = math.hypot(near[X] - spot[X], near[Y] - spot[Y])
+            gap = away - spot[SEMI_A] - near[SEMI_A]
+            # What the spot lies in the middle of is its background, not its neighbour.
+            # Neither are those whose extent is not known: cut off by the edge, or hardly there.
+            bright = near[FATE] not in (TOO_FAINT, AT_EDGE)
+            if bright and gap < NEIGHBOUR_REACH_PX and away > near[SEMI_A] and count < MOST_NEIGHBOURS:
+                neighbours[count, 0], neighbours[count, 1], neighbours[count, 2] = (
+                    near[X],
+                    near[Y],
+                    near[SEMI_A],
+                )
+                count += 1
+                beside = spot[TOUCHING] > 0.0 and near[TOUCHING] > 0.0 and gap < TOUCHING_PX
+                if beside and near[HEIGHT] > other[2] and near[SEMI_A] < LARGEST_LEANING * spot[SEMI_A]:
+                    other[0], other[1], other[2], other[3] = near[X], near[Y], near[HEIGHT], near[SEMI_A]
+            step += direction
+    return count
+
+
+@compiled
+def refine_centres(image, spots, estimator, centres, covariances):
+    """Fill ``centres`` (n, 2) px and ``covariances`` (n, 3) xx, xy, yy px^2 of the rows of the spot table.
+
+    Rejected spots keep the coarse centre of the table, with covariance 0. Spots that other light leans on get their
+    SHOULDER set and their covariance widened by it. The covariances are those of the shot noise that the residuals
+    of all clean spots together show.
+    """
+    n = spots.shape[0]
+    order = np.argsort(spots[:, X])
+    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(9)
+    widest, largest = 0.0, 0.0
+    for k in range(n):
+        widest = max(widest, spots[k, SEMI_A])
+        if spots[k, FATE] == UNEXPLAINED:
+            largest = max(largest, (spots[k, WX1] - spots[k, WX0]) * (spots[k, WY1] - spots[k, WY0]))
+    pixels, sums = room_for(largest), np.empty(SUMS)
+    parameters, m, q = np.empty(PARAMETERS), np.empty((5, 5)), np.empty(5)
+    # The expected gain counts as much as a measurement of that sigma.
+    told, weight = 2.0 * GAIN / GAIN_SIGMA**2, 2.0 / GAIN_SIGMA**2
+    for place in range(n):
+        k = order[place]
+        spot = spots[k]
+        centres[k, 0], centres[k, 1] = spot[X], spot[Y]
+        covariances[k, :] = 0.0
+        if spot[FATE] != UNEXPLAINED:
+            continue
+        count = _neighbours_of(spots, order, place, widest, neighbours, other)
+        if estimator == 0:
+            fit_edge_model(image, spot, neighbours[:count], GAIN, pixels, sums, parameters, m, q, out)
+        elif estimator == 1:
+            fit_grey_square(image, spot, neighbours[:count], GAIN, out)
+        elif estimator == 2:
+            fit_clip(image, spot, neighbours[:count], GAIN, pixels, out)
+        else:
+            fit_zernike(image, spot, neighbours[:count], GAIN, out)
+        if out[5] > ONE_SIDED or other[2] > 0.0:
+            spot[SHOULDER] = max(spot[SHOULDER], UNEXPLAINED_LIGHT_PX)
+        elif out[6] > STRANGE_MISFIT:
+            shift = min(MISFIT_SHIFT_PX * math.sqrt(out[6] - 1.0), UNEXPLAINED_LIGHT_PX)
+            spot[SHOULDER] = max(spot[SHOULDER], shift)
+        elif estimator == 0 and out[6] < GOOD_MISFIT and out[5] < EVEN and spot[TOUCHING] == 0.0:
+            spot[SHOULDER] = 0.0  # the moments were misled, by saturation or by noise
+        round_enough = spot[SEMI_B] >= max(LEAST_TELLING_PX, ROUND * spot[SEMI_A])
+        if out[6] < CLEAN_MISFIT and spot[SHOULDER] == 0.0 and (estimator != 0 or round_enough):
+            told += out[7]
+            weight += out[8]
+        spot[MISFIT] = out[6]
+        centres[k, 0], centres[k, 1] = out[0], out[1]
+        covariances[k, 0], covariances[k, 1], covariances[k, 2] = out[2], out[3], out[4]
+    gain = max(told / weight, 0.1 * GAIN)
+    for k in range(n):
+        spot = spots[k]
+        if spot[FATE] != UNEXPLAINED:
+            continue
+        # What matters is the noise at the spot's edge, half way up.
+        read, light = spot[NOISE] ** 2, 0.5 * min(spot[HEIGHT], 255.0)
+        scale = (read + gain * light) / (read + GAIN * light)
+        covariances[k, :] *= scale
+        # Light that pulls the foot of the profile pulls the fitted centre about as far.
+        covariances[k, 0] += spot[SHOULDER] ** 2
+        covariances[k, 2] += spot[SHOULDER] ** 2
+    return gain
+
+
+@compiled
+def refine_leaning(image, spots, rows, centres, covariances):
+    """Centre the spots of ``rows`` that other light leans on anew, together with that light.
+
+    ``centres`` and ``covariances`` as `refine_centres` left them are changed where the fit succeeds; returns how
+    many were.
+    """
+    changed = 0
+    order = np.argsort(spots[:, X])
+    places = np.empty(spots.shape[0], np.int64)
+    widest = 0.0
+    for place in range(order.shape[0]):
+        places[order[place]] = place
+        widest = max(widest, spots[place, SEMI_A])
+    neighbours, apart = np.empty((MOST_NEIGHBOURS, 3)), np.empty((MOST_NEIGHBOURS, 3))
+    other, out = np.empty(4), np.empty(6)
+    for k in rows:
+        spot = spots[k]
+        if spot[SHOULDER] == 0.0:
+            continue
+        count = _neighbours_of(spots, order, places[k], widest, neighbours, other)
+        n_apart = 0
+        for i in range(count):
+            if neighbours[i, 0] != other[0] or neighbours[i, 1] != other[1]:
+                apart[n_apart] = neighbours[i]
+                n_apart += 1
+        if fit_leaning(image, spot, other, apart[:n_apart], BLUR_PX, GAIN, out):
+            centres[k, 0], centres[k, 1] = out[0], out[1]
+            covariances[k, 0] = out[2] + (LEANING_ERROR_PX * out[5]) ** 2
+            covariances[k, 1] = out[3]
+            covariances[k, 2] = out[4] + (LEANING_ERROR_PX * out[5]) ** 2
+            changed += 1
+    return changed

@@ -1,0 +1,86 @@
+"""FrameResult -> messages: the one conversion. What is published is what is recorded is what is reviewed."""
+
+from asterism.protocol import asterism_pb2 as pb
+from asterism.protocol import keys
+from asterism.protocol.codec import encode_odometry, set_report_pose, set_vector, to_bytes
+from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message, RobotPose
+from asterism.protocol.rig import Rig
+from asterism.server.chain.frame import Frame, FrameResult
+from asterism.server.pose.solve import PoseEstimate
+
+
+def report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int, published_ns: int) -> list[Message]:
+    """The messages of one frame: odometry of every located robot, then the frame report.
+
+    ``solved_ns`` is when the poses were known, ``published_ns`` when the messages go out, ns since the Unix epoch.
+    """
+    messages = []
+    for robot_id, answer in result.answers.items():
+        if isinstance(answer, PoseEstimate):
+            told = RobotPose(
+                robot=robot_id,
+                frame_id=rig.parent_frame,
+                pose=answer.pose,
+                covariance=answer.covariance,
+                state=answer.state,
+                leds=len(answer.leds),
+                rms_px=answer.rms_px,
+                sequence=result.index,
+                exposed_ns=result.exposed_ns,
+                published_ns=published_ns,
+                smoothed_by=answer.smoothed_by,
+                extrapolated=answer.extrapolated,
+            )
+            key = keys.odometry(rig.camera.name, robot_id)
+            messages.append(
+                Message(key, ODOMETRY, encode_odometry(told), result.exposed_ns, published_ns, result.index)
+            )
+    payload = to_bytes(frame_report(frame, result, rig, solved_ns, published_ns))
+    key = keys.frame(rig.camera.name)
+    messages.append(Message(key, FRAME_REPORT, payload, result.exposed_ns, published_ns, result.index))
+    return messages
+
+
+def frame_report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int, published_ns: int) -> "pb.FrameReport":
+    """Everything that was seen and concluded in one frame."""
+    message = pb.FrameReport(
+        sequence=result.index,
+        exposed_ns=result.exposed_ns,
+        arrived_ns=frame.arrived_ns or result.exposed_ns,
+        solved_ns=solved_ns,
+        published_ns=published_ns,
+        frame_id=rig.parent_frame,
+    )
+    blobs, spots = result.blobs, message.spots
+    spots.x.extend(blobs.centres_px[:, 0].tolist())
+    spots.y.extend(blobs.centres_px[:, 1].tolist())
+    spots.covariance_xx.extend(blobs.covariances_px2[:, 0].tolist())
+    spots.covariance_xy.extend(blobs.covariances_px2[:, 1].tolist())
+    spots.covariance_yy.extend(blobs.covariances_px2[:, 2].tolist())
+    spots.brightness.extend(blobs.heights.tolist())
+    spots.radius.extend(blobs.radii_px.tolist())
+    spots.fate.extend(blobs.fates.tolist())
+    spots.robot.extend(blobs.robots.tolist())
+    spots.led.extend(blobs.leds.tolist())
+    for robot in rig.robots:
+        answer = result.answers[robot.id]
+        entry = message.robots.add(id=robot.id, state=pb.State.Value(answer.state))
+        if not isinstance(answer, PoseEstimate):
+            entry.reason = answer.reason
+            continue
+        set_report_pose(entry.pose, answer.pose)
+        entry.covariance.extend(answer.covariance.ravel().tolist())
+        entry.leds = len(answer.leds)
+        entry.rms_px = answer.rms_px
+        entry.smoothed_by = answer.smoothed_by
+        entry.extrapolated = answer.extrapolated
+        entry.led.extend(answer.leds)
+        entry.spot.extend(answer.spots)
+        entry.residual_x.extend(answer.residuals_px[:, 0].tolist())
+        entry.residual_y.extend(answer.residuals_px[:, 1].tolist())
+        if answer.alternative is not None:
+            set_report_pose(entry.alternative.pose, answer.alternative.pose)
+            entry.alternative.odds = answer.alternative.odds
+        for name, point in robot.points.items():
+            set_vector(entry.points[name], answer.pose.map(point))
+    return message

@@ -1,0 +1,89 @@
+"""What a rig's frames need again and again, computed once: tables, layouts, limits, work arrays."""
+
+import math
+from collections import deque
+from functools import lru_cache
+
+import numpy as np
+
+from asterism.protocol.constellation import confusions
+from asterism.protocol.geometry import Floats, Pose
+from asterism.protocol.rig import Rig
+from asterism.server.centres.blobs import Ints, Scratch
+from asterism.server.identity.quads import QuadTable
+from asterism.server.pose.lens import lens_of
+from asterism.server.pose.spot_shift import optics_of
+
+MOST_TILT = math.cos(math.radians(75.0))  # beyond that a plate shows no LED worth measuring
+LARGEST_SPOT = 0.02  # of the image's diagonal, where the rig does not say how large the LEDs are
+RADII_MARGIN = 1.8  # a constellation's extent over an LED's radius may look so much larger: tilt, dim rims
+LED_MARGIN = 1.6  # an LED's spot may be this much larger than its disc, and two pixels
+
+
+class Plan:
+    """Everything derived from a rig; never changes after construction, but for the pool of work arrays."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        camera = rig.camera
+        self.lens: Floats = lens_of(camera)
+        self.focal = math.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1])
+        self.layouts: Floats = np.ascontiguousarray([robot.leds_plane for robot in rig.robots])
+        self.optics: Floats = np.array([optics_of(robot) for robot in rig.robots])
+        self.plane_rotations: Floats = np.array([robot.T_robot_plane.rotation for robot in rig.robots])
+        self.plane_origins: Floats = np.array([robot.T_robot_plane.position for robot in rig.robots])
+        self.axes: Floats = np.array([robot.T_robot_plane.rotation.T @ robot.axis for robot in rig.robots])
+        self.normals: Floats = np.array(
+            [robot.normal.world if robot.normal is not None else np.zeros(3) for robot in rig.robots]
+        )
+        self.within: Floats = np.array(
+            [robot.normal.within_rad if robot.normal is not None else -1.0 for robot in rig.robots]
+        )
+        T_parent_camera = rig.T_world_camera or Pose.identity()
+        self.view, self.eye = T_parent_camera.rotation, T_parent_camera.position.copy()
+        self.extents = np.array([robot.extent for robot in rig.robots])
+        self.separations = np.full(len(rig.robots), np.inf)
+        for confusion in confusions([robot.leds_plane[:, :2] for robot in rig.robots]):
+            for robot in (confusion.seen, confusion.taken):
+                self.separations[robot] = min(self.separations[robot], confusion.separation)
+        self.quads = QuadTable(self.layouts)
+        self.near, self.far = rig.range_m or self._range()
+        self.reach_px = 1.2 * float(self.extents.max()) * self.focal / self.near
+        self.masks: Ints = np.array(rig.masks, np.int64).reshape(-1, 4)
+        # nan where the rig does not say how large the LEDs are
+        self.led_radii = np.array([robot.led_radius or math.nan for robot in rig.robots])
+        ratios = self.extents / self.led_radii
+        self.reach_in_radii = RADII_MARGIN * float(ratios.max()) if np.isfinite(ratios).all() else math.inf
+        largest = float(self.led_radii.max())
+        if math.isfinite(largest) and rig.range_m is not None:
+            self.largest_radius_px = LED_MARGIN * largest * self.focal / self.near + 2.0
+        else:
+            self.largest_radius_px = LARGEST_SPOT * math.hypot(camera.width, camera.height)
+        self._scratch: deque[Scratch] = deque()
+
+    def _range(self) -> tuple[float, float]:
+        """Distances at which the rig's robots can be seen at all: from filling the image to LEDs that merge."""
+        camera = self.rig.camera
+        near = self.focal * float(self.extents.min()) / (0.95 * min(camera.width, camera.height))
+        spacing = 0.0
+        for layout in self.layouts:
+            apart = np.linalg.norm(layout[:, None] - layout[None], axis=-1) + np.eye(len(layout)) * 1e9
+            spacing = max(spacing, float(apart.min()))
+        return near, self.focal * spacing / 4.0
+
+    def borrow_scratch(self) -> Scratch:
+        """Work arrays nobody else is using; hand them back with `return_scratch`."""
+        try:
+            return self._scratch.pop()
+        except IndexError:
+            return Scratch(self.rig.camera.height, self.rig.camera.width)
+
+    def return_scratch(self, scratch: Scratch) -> None:
+        """Keep work arrays for the next frame."""
+        self._scratch.append(scratch)
+
+
+@lru_cache(maxsize=4)
+def plan_for(rig: Rig) -> Plan:
+    """The plan of a rig, made once."""
+    return Plan(rig)

@@ -1,0 +1,1 @@
+"""serve's loop: publishing, health, threads, live views."""

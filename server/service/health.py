@@ -1,0 +1,82 @@
+"""The server's health: what the status message tells once a second."""
+
+import threading
+from collections import Counter, deque
+
+import numpy as np
+
+from asterism.protocol import asterism_pb2 as pb
+from asterism.protocol import keys
+from asterism.protocol.codec import to_bytes
+from asterism.protocol.messages import STATUS, Fate, Message
+from asterism.server.chain.frame import FrameResult
+
+WINDOW_NS = 1_000_000_000
+
+
+class Health:
+    """Counts and times of the frames, written by the chain and read by the status thread; the lock keeps them whole."""
+
+    def __init__(self, camera: str, source: str) -> None:
+        self._camera = camera
+        self._source = source
+        self._lock = threading.Lock()
+        self._recent: deque[tuple[int, float, float, Counter[str]]] = deque()
+        self._robots: Counter[str] = Counter()
+        self._sequence = 0
+        self.frames = 0
+        self.frames_dropped = 0
+        self.frames_unreadable = 0
+        self.frames_not_recorded = 0
+        self.problem = ""
+
+    def add(self, result: FrameResult, arrived_ns: int, solved_ns: int, published_ns: int) -> None:
+        """Count one frame."""
+        fates = Counter(result.blobs.fates.tolist())
+        rejected: Counter[str] = Counter()
+        for fate, count in fates.items():
+            if fate not in (Fate.LED, Fate.UNEXPLAINED):
+                rejected[Fate.Name(fate)] = count
+        entry = (
+            published_ns,
+            (solved_ns - arrived_ns) * 1e-9,
+            (published_ns - result.exposed_ns) * 1e-9,
+            rejected,
+        )
+        robots = Counter(answer.state for answer in result.answers.values())
+        with self._lock:
+            self.frames += 1
+            self._recent.append(entry)
+            self._robots = robots
+
+    def message(self, now_ns: int) -> Message:
+        """The status message for the last second."""
+        with self._lock:
+            while self._recent and self._recent[0][0] < now_ns - WINDOW_NS:
+                self._recent.popleft()
+            recent = list(self._recent)
+            robots = dict(self._robots) if recent else {}
+            self._sequence += 1
+            sequence = self._sequence
+        rejected: Counter[str] = Counter()
+        for entry in recent:
+            rejected.update(entry[3])
+        solve = np.array([entry[1] for entry in recent] or [0.0])
+        latency = np.array([entry[2] for entry in recent] or [0.0])
+        status = pb.Status(
+            time_ns=now_ns,
+            source=self._source,
+            frames=self.frames,
+            frames_dropped=self.frames_dropped,
+            frames_unreadable=self.frames_unreadable,
+            frames_not_recorded=self.frames_not_recorded,
+            rate_hz=len(recent) * 1e9 / WINDOW_NS,
+            solve_p50_s=float(np.median(solve)),
+            solve_p99_s=float(np.percentile(solve, 99)),
+            latency_p50_s=float(np.median(latency)),
+            latency_p99_s=float(np.percentile(latency, 99)),
+            rejected=dict(rejected),
+            robots=robots,
+            problem=self.problem,
+        )
+        return Message(keys.status(self._camera), STATUS, to_bytes(status), now_ns, now_ns, sequence)

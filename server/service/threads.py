@@ -1,0 +1,102 @@
+"""Threads between a source and the chain: the newest frame of a camera, the next frames of a file."""
+
+import queue
+import threading
+from collections.abc import Callable, Iterator
+
+from asterism.server.chain.frame import Frame
+
+AHEAD = 3  # frames of a file that are decoded before they are needed
+
+
+class Feed:
+    """Runs a source's iterator in a thread of its own and hands its frames on.
+
+    ``live``: the newest frame wins, what it replaces is counted in ``dropped``. Otherwise the thread waits, and no
+    frame is lost. An exception of the source is raised where the frames are taken.
+    """
+
+    def __init__(self, frames: Iterator[Frame], live: bool) -> None:
+        self._frames = frames
+        self._live = live
+        self.dropped = 0
+        self._ready = threading.Condition()
+        self._newest: Frame | None = None
+        self._queue: queue.Queue[Frame | None] = queue.Queue(AHEAD)
+        self._error: BaseException | None = None
+        self._done = False
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="source", daemon=True)
+        self._thread.start()
+
+    def next(self, timeout_s: float) -> Frame | None:
+        """The next frame, or None if there is none within that time; `finished` tells whether more may come."""
+        if self._live:
+            with self._ready:
+                self._ready.wait_for(lambda: self._newest is not None or self._done, timeout_s)
+                frame, self._newest = self._newest, None
+        else:
+            try:
+                frame = self._queue.get(timeout=timeout_s)
+            except queue.Empty:
+                frame = None
+        if frame is None and self._error is not None and self.finished:
+            error, self._error = self._error, None
+            raise error
+        return frame
+
+    @property
+    def finished(self) -> bool:
+        """Whether the source has ended and every frame was taken."""
+        with self._ready:
+            return self._done and self._newest is None and self._queue.empty()
+
+    def close(self) -> None:
+        """Stop taking frames from the source; a source that blocks is left behind."""
+        self._stop.set()
+        while not self._queue.empty():
+            self._queue.get_nowait()
+        self._thread.join(timeout=1.0)
+
+    def _run(self) -> None:
+        try:
+            for frame in self._frames:
+                if self._live:
+                    with self._ready:
+                        self.dropped += self._newest is not None
+                        self._newest = frame
+                        self._ready.notify()
+                else:
+                    while not self._stop.is_set():
+                        try:
+                            self._queue.put(frame, timeout=0.1)
+                            break
+                        except queue.Full:
+                            continue
+                if self._stop.is_set():
+                    break
+        except BaseException as error:  # handed on to whoever takes the frames
+            self._error = error
+        with self._ready:
+            self._done = True
+            self._ready.notify()
+
+
+class Ticker:
+    """Calls a function at a steady interval, from a thread of its own, until it is closed."""
+
+    def __init__(self, call: Callable[[], None], every_s: float) -> None:
+        self._call = call
+        self._every_s = every_s
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="ticker", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop calling."""
+        self._stop.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stop.wait(self._every_s):
+            self._call()

@@ -1,0 +1,50 @@
+"""Frames from image files; they count time from 0 at their own rate."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from asterism.protocol.errors import InputError
+from asterism.protocol.rig import Rig
+from asterism.server.chain.frame import Frame
+from asterism.server.sources.images import EXTENSIONS, UnreadableImage, natural_key, read_image
+from asterism.server.sources.source import DEFAULT_RATE_HZ, Expected, Say
+
+
+class ImageFiles:
+    """Image files in natural order. An image that cannot be read is said, counted and skipped."""
+
+    live = False
+
+    def __init__(self, name: str, paths: list[Path], rig: Rig | None, say: Say) -> None:
+        self.name = name
+        self._expected = Expected(rig)
+        self.rate_hz = self._expected.capture.rate_hz or DEFAULT_RATE_HZ
+        self.unreadable = 0
+        self.length: int | None = len(paths)
+        self._paths = paths
+        self._say = say
+
+    def frames(self) -> Iterator[Frame]:
+        """Raises InputError for an image of another size than the calibration's, or if none could be read."""
+        read = 0
+        for index, path in enumerate(self._paths):
+            try:
+                image = read_image(path, self._expected.capture.bits)
+            except UnreadableImage as problem:
+                self.unreadable += 1
+                self._say(f"{path}: {problem}; skipped")
+                continue
+            self._expected.check(image, str(path))
+            read += 1
+            exposed_ns = round(index * 1e9 / self.rate_hz)
+            yield Frame(image, exposed_ns, index, path.name, exposed_ns)
+        if not read:
+            raise InputError(f"{self.name}: none of its {len(self._paths)} images can be read")
+
+
+def image_files(name: str, paths: list[Path], rig: Rig | None, say: Say) -> ImageFiles:
+    """The images among ``paths``, in natural order. Raises InputError where there are none."""
+    images = sorted((path for path in paths if path.suffix.lower() in EXTENSIONS), key=natural_key)
+    if not images:
+        raise InputError(f"{name}: holds no images, expected files ending in {', '.join(EXTENSIONS)}")
+    return ImageFiles(name, images, rig, say)

@@ -1,0 +1,58 @@
+"""From what a person names to the source it is."""
+
+from pathlib import Path
+
+from asterism.protocol.errors import InputError
+from asterism.protocol.rig import Rig
+from asterism.server.sources.camera import Camera
+from asterism.server.sources.files import ImageFiles, image_files
+from asterism.server.sources.images import EXTENSIONS
+from asterism.server.sources.recorded import RecordedFrames
+from asterism.server.sources.simulated import Simulated
+from asterism.server.sources.source import Expected, Say, Source
+from asterism.server.sources.v4l2 import open_v4l2
+from asterism.server.sources.video import VideoFile
+
+
+def open_source(text: str, rig: Rig | None, say: Say, seed: int = 0) -> Source:
+    """The source that a person names: `0`, `/dev/video0`, a folder or glob of images, a video, a recording, `sim`.
+
+    Without a rig images may be of any size, all of the same, and there is nothing to simulate.
+
+    Raises InputError when it is none of these, WorldError when a camera does not open.
+    """
+    if text == "sim" and rig is not None:
+        return Simulated(rig, seed)
+    if text.isdigit() or text.startswith("/dev/video"):
+        number = text.removeprefix("/dev/video")
+        if not number.isdigit():
+            raise InputError(f"{text}: expected a V4L2 camera such as 0 or /dev/video0")
+        expected = Expected(rig)
+        return Camera(f"/dev/video{number}", lambda: open_v4l2(int(number), expected.capture, expected.size), rig, say)
+    path = Path(text)
+    if path.is_dir():
+        if any(path.glob("*.mcap")):
+            return RecordedFrames(path, rig)
+        return image_files(text, [entry for entry in path.iterdir() if entry.is_file()], rig, say)
+    if path.is_file():
+        if path.suffix.lower() in EXTENSIONS:
+            return ImageFiles(text, [path], rig, say)
+        if path.suffix.lower() == ".mcap":
+            raise InputError(f"{text}: is one file of a recording, expected the recording's folder {path.parent}")
+        return VideoFile(path, rig)
+    if any(char in text for char in "*?["):
+        base = Path(path.anchor) if path.is_absolute() else Path()
+        return image_files(text, list(base.glob(str(path.relative_to(base)))), rig, say)
+    raise InputError(
+        f"{text}: there is no such source; expected a camera (0, /dev/video0), a folder or glob of images, a video, "
+        "a recording, or sim"
+    )
+
+
+def refuse_endless(text: str, command: str) -> None:
+    """Raise InputError for a source that never ends; ``command`` is what cannot use it."""
+    if text == "sim" or text.isdigit() or text.startswith("/dev/video"):
+        raise InputError(
+            f"{text}: has no end; {command} takes a folder or glob of images, a video or a recording "
+            "(asterism simulate makes images)"
+        )

@@ -1,0 +1,34 @@
+"""Frames from a recording."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from asterism.protocol.errors import InputError
+from asterism.protocol.rig import Rig
+from asterism.server.chain.frame import Frame
+from asterism.server.sources.source import DEFAULT_RATE_HZ, Expected
+
+
+class RecordedFrames:
+    """The frames of a recording, with the times they were taken at."""
+
+    live = False
+
+    def __init__(self, path: Path, rig: Rig | None) -> None:
+        from asterism.recordings.reader import Recording
+
+        self.name = str(path)
+        self.unreadable = 0
+        self._expected = Expected(rig)
+        self._recording = Recording(path)
+        self.length: int | None = self._recording.count_frames()
+        if not self.length:
+            raise InputError(f"{path}: holds no frames; record with --record-frames all to solve them again")
+        span = self._recording.frames_span_ns()
+        self.rate_hz = (self.length - 1) * 1e9 / span if span > 0 else DEFAULT_RATE_HZ
+
+    def frames(self) -> Iterator[Frame]:
+        """Raises InputError for frames of another size than the calibration's."""
+        for image, exposed_ns, index in self._recording.frames():
+            self._expected.check(image, f"{self.name}, frame {index}")
+            yield Frame(image, exposed_ns, index, f"{index:06d}", exposed_ns)

@@ -1,0 +1,59 @@
+"""What a source is, and what its images must be like."""
+
+from collections.abc import Callable, Iterator
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.protocol.camera import check_image_size
+from asterism.protocol.errors import InputError
+from asterism.protocol.rig import Capture, Rig
+from asterism.server.chain.frame import Frame
+
+DEFAULT_RATE_HZ = 60.0
+
+Say = Callable[[str], None]
+
+
+class Source(Protocol):
+    """What frames can be had from.
+
+    ``name`` is what people call it; ``live`` sources run by themselves and must not be waited for; ``unreadable``
+    counts images that were skipped; ``length`` is the number of frames if it is known.
+    """
+
+    name: str
+    live: bool
+    rate_hz: float
+    unreadable: int
+    length: int | None
+
+    def frames(self) -> Iterator[Frame]:
+        """The frames, each once, in order."""
+        ...
+
+
+class Expected:
+    """What images must be like: as the rig says, or without one (calibration) all of one size."""
+
+    def __init__(self, rig: Rig | None) -> None:
+        self.capture = Capture() if rig is None else rig.capture
+        self._camera = None if rig is None else rig.camera
+        self._first: tuple[int, int] | None = None
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height that a camera is to deliver, if that is known."""
+        return self.capture.size or (None if self._camera is None else (self._camera.width, self._camera.height))
+
+    def check(self, image: NDArray[np.uint8], where: str) -> None:
+        """Raises InputError for an image of another size."""
+        height, width = image.shape
+        if self._camera is not None:
+            check_image_size(self._camera, width, height, where)
+        self._first = self._first or (width, height)
+        if self._first != (width, height):
+            raise InputError(
+                f"{where}: the image is {width}x{height}, expected {self._first[0]}x{self._first[1]} as the first"
+            )

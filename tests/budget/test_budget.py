@@ -1,0 +1,354 @@
+"""The error budget: every source as the solver itself answers it, laws, agreement with the errors that are made, and
+the page that tells it."""
+
+import base64
+import contextlib
+import io
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asterism.protocol.errors import InputError
+from asterism.protocol.geometry import Floats, Pose
+from asterism.protocol.rig import Rig
+from asterism.server.__main__ import main
+from asterism.server.budget.budget import (
+    COMPONENTS,
+    SOURCES,
+    TILTS,
+    Light,
+    Poses,
+    covariances_of,
+    image_by_pose,
+    image_factors,
+    pose_by_image,
+    poses_at,
+)
+from asterism.server.budget.uncertainty import KEYS, Uncertainty, read_uncertainty
+from asterism.server.budget.workspace import budget_of
+from asterism.server.centres.centre_noise import ROUNDING, centre_covariances, centre_variances
+from asterism.server.simulation.demo_rig import DEMO_RIG
+from asterism.server.simulation.simulate import Look
+from tests.budget.error_sources import Errors, solved, spots
+from tests.centres.bounds import centre_bound
+from tests.rigs import make_rig
+
+LIGHT = Light(Look(), 1.0)
+PLACES = np.array([[x, y] for x in (250.0, 640.0, 1030.0) for y in (200.0, 824.0)])
+NOTHING = Uncertainty(
+    centre_px=0.0,
+    bias_px=0.0,
+    led_position_m=0.0,
+    offset_m=0.0,
+    focal_relative=0.0,
+    principal_point_px=0.0,
+    distortion_relative=0.0,
+)
+
+
+def spot_covariances(rig: Rig, poses: Poses) -> Floats:
+    """What an estimator would say of the spots (n, 6, 2, 2), px^2."""
+    robot = rig.robots[0]
+    points = np.array([Pose.from_matrix(r, t).map(robot.leds) for r, t in zip(poses.rotations, poses.ts, strict=True)])
+    normals = np.broadcast_to((poses.rotations @ robot.axis)[:, None], points.shape)
+    noise, rounding = centre_covariances(points, normals, robot.led_radius or 0.0, rig.camera.focal_px, Look())
+    return noise + rounding
+
+
+def one_led(k: int) -> Floats:
+    leds = np.zeros(18)
+    leds[k] = 1.0
+    return leds.reshape(6, 3)
+
+
+# A small amount of each source: by name, its error for cause k, the uncertainty of that size, and how many causes.
+SMALL: list[tuple[str, Callable[[int], Errors], Uncertainty, int]] = [
+    ("LED positions", lambda k: Errors(leds=1e-6 * one_led(k)), replace(NOTHING, led_position_m=1e-6), 18),
+    ("LED angular offset", lambda _: Errors(offset_m=1e-6), replace(NOTHING, offset_m=1e-6), 1),
+    ("focal length", lambda _: Errors(focal=1e-5), replace(NOTHING, focal_relative=1e-5), 1),
+    ("principal point", lambda k: Errors(centre=1e-2 * np.eye(2)[k]), replace(NOTHING, principal_point_px=1e-2), 2),
+    ("distortion", lambda _: Errors(distortion=1e-4), replace(NOTHING, distortion_relative=1e-4), 1),
+]
+
+
+@pytest.mark.parametrize(("name", "errors", "uncertainty", "causes"), SMALL, ids=[row[0] for row in SMALL])
+def test_every_source_alone_moves_the_pose_as_the_solver_says(
+    name: str, errors: Callable[[int], Errors], uncertainty: Uncertainty, causes: int
+) -> None:
+    rig = make_rig(1)
+    robot = rig.robots[0]
+    poses, _ = poses_at(rig, robot, 1.1, PLACES[::3], (20.0, 50.0))
+    told = spot_covariances(rig, poses)
+    by_point, by_pose = image_by_pose(rig, robot, poses)
+    factor = image_factors(rig, robot, poses, uncertainty, LIGHT, by_point)[name]
+    assert factor.shape[-1] == causes
+    predicted = pose_by_image(by_pose, told, np.ones((len(poses), 6)), np.zeros(len(poses))) @ factor
+    each = [Pose.from_matrix(r, t) for r, t in zip(poses.rotations, poses.ts, strict=True)]
+    still = np.array([spots(rig, robot, pose, Errors()) for pose in each])
+    unmoved, _ = solved(rig, robot, poses, still, told)
+    assert np.abs(unmoved).max() < 1e-9
+    for cause in range(causes):
+        moved, _ = solved(rig, robot, poses, np.array([spots(rig, robot, p, errors(cause)) for p in each]), told)
+        scale = np.abs(predicted).max(axis=(0, 2))
+        assert np.all(np.abs(moved - predicted[..., cause]) < 5e-3 * scale), name
+
+
+def test_centre_noise_alone_moves_the_pose_as_the_solver_says(rng: np.random.Generator) -> None:
+    rig = make_rig(1)
+    robot = rig.robots[0]
+    poses, _ = poses_at(rig, robot, 1.1, PLACES[:1], (30.0,))
+    told = spot_covariances(rig, poses)
+    _, by_pose = image_by_pose(rig, robot, poses)
+    to_pose = pose_by_image(by_pose, told, np.ones((len(poses), 6)), np.zeros(len(poses)))
+    each = [Pose.from_matrix(r, t) for r, t in zip(poses.rotations, poses.ts, strict=True)]
+    shift = 1e-4 * rng.standard_normal((len(poses), 6, 2))
+    moved, _ = solved(rig, robot, poses, np.array([spots(rig, robot, p, Errors()) for p in each]) + shift, told)
+    expected = np.einsum("nij,nj->ni", to_pose, shift.reshape(len(poses), 12))
+    assert np.all(np.abs(moved - expected) < 1e-2 * np.abs(expected).max(axis=0))
+
+
+def test_with_all_sources_on_the_budget_is_within_fifteen_percent_of_the_solvers_errors(
+    rng: np.random.Generator,
+) -> None:
+    rig, uncertainty = make_rig(1, seed=3), Uncertainty()
+    robot = rig.robots[0]
+    for distance in (0.8, 1.9):
+        poses, _ = poses_at(rig, robot, distance, np.tile(PLACES, (3, 1)), TILTS)
+        n = len(poses)
+        predicted = covariances_of(rig, robot, poses, uncertainty, LIGHT).sum(axis=1)
+        by_point, _ = image_by_pose(rig, robot, poses)
+        factors = image_factors(rig, robot, poses, uncertainty, LIGHT, by_point)
+        each = [Pose.from_matrix(r, t) for r, t in zip(poses.rotations, poses.ts, strict=True)]
+        seen = np.array([spots(rig, robot, pose, Errors.drawn(uncertainty, rng)) for pose in each])
+        for name in ("centre noise", "quantisation", "centre bias"):
+            seen += np.einsum("nij,nj->ni", factors[name], rng.standard_normal((n, 12))).reshape(n, 6, 2)
+        errors, _ = solved(rig, robot, poses, seen, spot_covariances(rig, poses))
+        variances = np.diagonal(predicted, axis1=1, axis2=2)
+        # 432 errors: one sigma of their root mean square is 3.4 %.
+        ratio = np.sqrt(np.mean(errors**2 / variances, axis=0))
+        assert np.all(np.abs(ratio - 1.0) < 0.15), dict(zip(COMPONENTS, ratio, strict=True))
+        weighted = np.einsum("ni,ni->n", errors, np.linalg.solve(predicted, errors[..., None])[..., 0])
+        assert 5.0 < weighted.mean() < 7.0
+
+
+def variances_at(rig: Rig, distance: float, uncertainty: Uncertainty) -> Floats:
+    """Mean variances (sources, 6) over poses."""
+    poses, _ = poses_at(rig, rig.robots[0], distance, PLACES, TILTS)
+    return np.diagonal(covariances_of(rig, rig.robots[0], poses, uncertainty, LIGHT), axis1=2, axis2=3).mean(axis=0)
+
+
+@pytest.mark.parametrize(
+    ("key", "source"),
+    [
+        ("centre_px", "centre noise"),
+        ("bias_px", "centre bias"),
+        ("led_position_m", "LED positions"),
+        ("offset_m", "LED angular offset"),
+        ("focal_relative", "focal length"),
+        ("principal_point_px", "principal point"),
+        ("distortion_relative", "distortion"),
+    ],
+)
+def test_a_source_twice_as_large_alone_has_four_times_the_variance_and_the_others_none(key: str, source: str) -> None:
+    rig = make_rig(1)
+    least = NOTHING if key == "centre_px" else replace(NOTHING, centre_px=0.01)
+    size = 0.01 if key.endswith("px") else 1e-5
+    once = variances_at(rig, 1.0, replace(least, **{key: size}))
+    twice = variances_at(rig, 1.0, replace(least, **{key: 2.0 * size}))
+    row = SOURCES.index(source)
+    assert np.allclose(twice[row], 4.0 * once[row], rtol=0.02)
+    assert np.all(once[row] > 0.0)
+    others = [k for k, name in enumerate(SOURCES) if name not in (source, "centre noise")]
+    assert np.all(once[others] == 0.0)
+
+
+def test_how_errors_grow_with_distance() -> None:
+    rig = make_rig(1, camera=None)
+    u = replace(Uncertainty(), centre_px=0.02)
+    near, far = np.sqrt(variances_at(rig, 0.9, u)), np.sqrt(variances_at(rig, 1.8, u))
+    growth = dict(zip(SOURCES, far / np.where(near > 0, near, 1.0), strict=True))
+    z = COMPONENTS.index("z")
+    assert growth["centre noise"][z] == pytest.approx(4.0, rel=0.05)  # the size of the image shrinks as it goes
+    assert growth["LED positions"][z] == pytest.approx(2.0, rel=0.05)  # a scale
+    assert growth["focal length"][z] == pytest.approx(2.0, rel=0.01)
+    assert growth["principal point"][0] == pytest.approx(2.0, rel=0.01)
+    assert growth["LED angular offset"][0] == pytest.approx(1.0, rel=0.05)  # a shift in m, whatever the distance
+
+
+def test_twice_the_spread_of_the_leds_halves_what_their_positions_do() -> None:
+    rig = make_rig(1)
+    robot = rig.robots[0]
+    large = replace(rig, robots=(replace(robot, leds=2.0 * robot.leds),))
+    u = replace(NOTHING, led_position_m=5e-5, centre_px=0.01)
+    small_z, large_z = (np.sqrt(variances_at(r, 1.5, u)[3]) for r in (rig, large))
+    assert large_z[2:] == pytest.approx(0.5 * small_z[2:], rel=0.05)
+
+
+def test_a_focal_length_that_is_off_is_a_scale_of_z() -> None:
+    u = replace(NOTHING, focal_relative=1e-3, centre_px=0.01)
+    z = np.sqrt(variances_at(make_rig(1), 1.25, u)[SOURCES.index("focal length"), 2])
+    assert z == pytest.approx(1.25e-3, rel=0.02)
+
+
+def test_a_hidden_led_makes_it_worse_and_nothing_depends_on_it() -> None:
+    rig, u = make_rig(1), Uncertainty()
+    robot = rig.robots[0]
+    poses, _ = poses_at(rig, robot, 1.2, PLACES[:2], (30.0,))
+    seen = np.ones((len(poses), 6))
+    whole = covariances_of(rig, robot, poses, u, LIGHT, seen)
+    seen[:, 2] = 0.0
+    less = covariances_of(rig, robot, poses, u, LIGHT, seen)
+    noise = np.diagonal(less[:, 0], axis1=1, axis2=2) / np.diagonal(whole[:, 0], axis1=1, axis2=2)
+    assert np.all(noise > 0.98)  # weights differ a little
+    assert noise.mean() > 1.1
+    moved = replace(robot, leds=robot.leds + 1e-4 * one_led(6))
+    assert np.allclose(covariances_of(replace(rig, robots=(moved,)), moved, poses, u, LIGHT, seen), less, rtol=2e-2)
+
+
+@pytest.mark.parametrize(("a", "q"), [(1.5, 0.9), (3.0, 0.7), (6.0, 0.5)])
+def test_the_noise_of_centres_is_the_independent_bound(a: float, q: float) -> None:
+    bound = np.sqrt(np.diag(centre_bound(a, q * a, 0.0, 170.0)))
+    ours = np.sqrt(centre_variances(a, q * a, 170.0, Look(psf_px=0.9, read_noise=1.2, gain=0.03), True))
+    # The bound's differences of supersampled images make it a few percent too good.
+    assert ours == pytest.approx(bound, rel=0.06)
+
+
+def test_the_axes_of_the_noise_turn_with_the_ellipse() -> None:
+    point = np.array([0.0, 0.0, 1.0])
+    for angle in (0.0, 0.7, 2.0):
+        lean = np.array([np.cos(angle), np.sin(angle), 0.0])
+        normal = 0.8 * lean - 0.6 * np.array([0, 0, 1.0])
+        noise, rounding = centre_covariances(point[None], normal[None], 0.004, 1000.0, Look())
+        along, across = centre_variances(4.0, 2.4, 0.6 * Look().brightness, Look(), False)
+        short = lean[:2]
+        assert short @ noise[0] @ short == pytest.approx(across, rel=0.02)
+        long = np.array([-short[1], short[0]])
+        assert long @ noise[0] @ long == pytest.approx(along, rel=0.02)
+        assert 0.0 < np.trace(rounding[0]) < ROUNDING * np.trace(noise[0])
+
+
+def test_the_workspace_is_the_rigs_range_and_image() -> None:
+    rig = make_rig(2, range_m=(0.9, 1.7))
+    budget = budget_of(rig, Uncertainty(), LIGHT)
+    assert budget.distances[[0, -1]] == pytest.approx([0.9, 1.7])
+    assert np.isfinite(budget.by_place).all()
+    total = budget.by_distance.sum(axis=1)
+    assert np.all(np.diff(total[:, :3], axis=0) > 0.0)
+    assert 0.0 < budget.across[0] < budget.across[-1] < rig.camera.width
+    assert 0.0 < budget.down[0] < budget.down[-1] < rig.camera.height
+    assert budget.by_tilt[0].sum(axis=0)[3] > 4.0 * budget.by_tilt[-1].sum(axis=0)[3]  # tilt is weak seen in front
+
+
+def demo_rig(folder: Path) -> Path:
+    """A copy of the demonstration's rig, whose folder a test may write to."""
+    for file in ("rig.yaml", "camera.yaml"):
+        (folder / file).write_text((DEMO_RIG.parent / file).read_text())
+    return folder / "rig.yaml"
+
+
+class _Links(HTMLParser):
+    """Every address that a page names, and its images."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+        self.tags: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.addresses += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data", "action")]
+
+
+@pytest.fixture(scope="module")
+def reported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder of a report with surveyed truth, and what the command printed. The simulator makes none of the
+    systematic errors; what is left is noise, at the light of the frames.
+    """
+    folder = tmp_path_factory.mktemp("rig")
+    rig, film, out = demo_rig(folder), folder / "film", folder / "new" / "report"
+    given = "".join(f"{key}: {1e-7 if key == 'led_position_m' else 0}\n" for key in KEYS[2:])
+    (folder / "uncertainty.yaml").write_text(given)
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert main(["simulate", str(rig), str(film), "--frames", "8"]) == 0
+        truth, frames = str(film / "truth.jsonl"), str(film / "frames")
+        assert main(["report", str(rig), "--truth", truth, frames, "-o", str(out)]) == 0
+    return out, printed.getvalue()
+
+
+def test_the_page_needs_nothing_but_itself(reported: tuple[Path, str]) -> None:
+    out, printed = reported
+    assert all(name in printed for name in SOURCES)
+    page = (out / "report.html").read_text()
+    links = _Links()
+    links.feed(page)
+    assert links.tags.count("img") == len(links.addresses) == 5
+    plots = sorted(out.glob("*.png"))
+    inlined = {base64.b64decode(address.removeprefix("data:image/png;base64,")) for address in links.addresses}
+    assert inlined == {path.read_bytes() for path in plots}
+    assert all(png.startswith(b"\x89PNG") for png in inlined)
+    assert not {"script", "link", "iframe", "object"} & set(links.tags)
+    assert "http" not in page
+    assert not re.search(r"url\(|@import", page)
+
+
+def test_the_page_tells_what_is_given_what_assumed_and_what_the_frames_told(reported: tuple[Path, str]) -> None:
+    page = (reported[0] / "report.html").read_text()
+    assert '0.0001 mm per axis</td><td class="text given">given' in page
+    assert '0.001 px per axis</td><td class="text assumed">assumed' in page
+    assert page.count('<td class="text given">from the frames') == 2
+
+
+def test_measured_beside_predicted_on_simulated_frames(reported: tuple[Path, str]) -> None:
+    told = re.search(r"(\d+) sightings, 0 lost, (\d+) with the wrong tilt.*covariance ([\d.]+)", reported[1], re.DOTALL)
+    assert told is not None
+    assert int(told[1]) + int(told[2]) == 5 * 8
+    # 40 of them: one sigma of the mean is 0.55.
+    assert 4.0 < float(told[3]) < 8.5
+    assert "Measured beside predicted" in (reported[0] / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("led_position: 0.1\n", "unknown key 'led_position'; did you mean 'led_position_m'?"),
+        ("focal_relative: -0.1\n", "focal_relative: -0.1, expected a number, 0 or more"),
+        ("offset_m: small\n", "offset_m: 'small', expected a number, 0 or more"),
+        ("", "is empty, expected a YAML mapping"),
+    ],
+)
+def test_a_wrong_uncertainty_file_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "uncertainty.yaml").write_text(text)
+    with pytest.raises(InputError, match=re.escape(words)) as refusal:
+        read_uncertainty(tmp_path / "rig.yaml", "edge-model")
+    assert "uncertainty.yaml" in str(refusal.value)
+
+
+def test_a_calibrations_report_says_how_sure_the_lens_is(tmp_path: Path) -> None:
+    camera = tmp_path / "mine.yaml"
+    camera.write_text((DEMO_RIG.parent / "camera.yaml").read_text())
+    assert read_uncertainty(tmp_path / "rig.yaml", "edge-model", camera) == Uncertainty(bias_px=0.001)
+    (tmp_path / "mine.report.yaml").write_text("sigmas: {fx: 0.7, fy: 0.7, cx: 0.2, cy: 0.4}\n")
+    (tmp_path / "uncertainty.yaml").write_text("principal_point_px: 0.1\n")
+    told = read_uncertainty(tmp_path / "rig.yaml", "edge-model", camera)
+    assert told.focal_relative == pytest.approx(0.7 / 1400.0)
+    assert told.principal_point_px == 0.1
+    assert (told.calibrated, told.given) == ({"focal_relative"}, {"principal_point_px"})
+
+
+def test_a_folder_that_holds_something_is_refused_before_any_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "report"
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    assert main(["report", "there is no such rig.yaml", "-o", str(out)]) == 2
+    assert capsys.readouterr().err == f"asterism: {out}: exists already, expected a new or empty folder\n"
+    assert main(["report", str(DEMO_RIG), "-o", str(out / "notes.txt")]) == 2
+    assert "expected a new or empty folder" in capsys.readouterr().err
+    assert [path.name for path in out.iterdir()] == ["notes.txt"]

@@ -1,0 +1,256 @@
+"""The LEDs' own optics: theory against rays traced by Snell's law, the pose loop, `asterism calibrate offset`."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asterism.protocol.errors import InputError
+from asterism.protocol.geometry import Floats, Pose, angle_between, exp_rotation
+from asterism.protocol.led_offset import LedOffset, parse_offset
+from asterism.protocol.rig import Rig, load_rig, parse_rig
+from asterism.server import Frame, PoseEstimate, Tracks, localize
+from asterism.server.__main__ import main
+from asterism.server.calibration.leds.labelled import solve_sightings
+from asterism.server.calibration.survey.offset import calibrate_offset, with_offset
+from asterism.server.calibration.survey.surveyed_fit import errors_of
+from asterism.server.pose.led_optics import dome_depth, window_depth
+from asterism.server.pose.spot_shift import OPTICS, optics_of, spot_shifts
+from asterism.server.simulation.simulate import Scene
+from tests.calibration.survey.surveys import survey_pairs, write_frames, write_rig, write_survey
+from tests.calibration.survey.traced_leds import DOME, Cover, seen_at
+from tests.chain.frames import draw
+from tests.command.test_command_line import refused
+from tests.helpers import assert_poses_close, facing_pose
+from tests.rigs import make_rig
+
+DOME_ARGUMENTS = (1.5, 2.5e-3, 1.25e-3)
+
+
+def traced(led: Floats, axis: Floats) -> Floats:
+    return seen_at(DOME, led, axis)
+
+
+def crossing(cover: Cover, alpha: float) -> float:
+    """Where on the axis, m from the LED, the camera sees it, from so far away that only the angle counts."""
+    axis = np.array([0.0, 0.0, 1.0])
+    led = -1e3 * np.array([np.sin(alpha), 0.0, np.cos(alpha)])
+    sight = seen_at(cover, led, axis)
+    along, _ = np.linalg.lstsq(np.column_stack([axis, -sight / np.linalg.norm(sight)]), -led, rcond=None)[0]
+    return float(along)
+
+
+@pytest.mark.parametrize("depth", [0.6e-3, 1.25e-3, 1.6e-3])
+def test_domes_bend_rays_as_snell_says(depth: float) -> None:
+    angles = np.radians(np.linspace(0.5, 50.0, 15))
+    found = -dome_depth(1.5, 2.5e-3, depth, angles)
+    truth = [crossing(Cover(1.5, 2.5e-3, depth), alpha) for alpha in angles.tolist()]
+    np.testing.assert_allclose(found, truth, atol=2e-8)
+    # The paraxial depth in closed form: findings/algorithms.md, E.
+    np.testing.assert_allclose(
+        dome_depth(1.5, 2.5e-3, depth, np.zeros(1)), 1.5 * depth / (1 - 0.5 * depth / 2.5e-3), rtol=1e-9
+    )
+
+
+def test_windows_bend_rays_as_snell_says() -> None:
+    angles = np.radians(np.linspace(0.5, 70.0, 15))
+    truth = [crossing(Cover(1.52, None, 1.0e-3), alpha) for alpha in angles.tolist()]
+    np.testing.assert_allclose(-window_depth(1.52, 1.0e-3, angles), truth, atol=2e-8)
+
+
+def test_the_compiled_shift_is_the_projection_of_the_moved_led(rng: np.random.Generator) -> None:
+    offset = LedOffset(np.array([-2e-3, 3e-4, 1e-4]), np.radians(40.0))
+    axis = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0])
+    robot = replace(make_rig(1, seed=2).robots[0], axis=axis, led_offset=offset, led_radius=None)
+    for _ in range(20):
+        plane = facing_pose(rng, (0.5, 1.5), (0.0, 60.0))
+        pose = plane @ robot.T_robot_plane.inverse()
+        shifts = np.empty((6, 2))
+        spot_shifts(plane.rotation, plane.position, robot.leds_plane, optics_of(robot), shifts)
+        leds = pose.map(robot.leds)
+        facing = leds @ (pose.rotation @ axis) / np.linalg.norm(leds, axis=1)
+        seen = leds + offset.shift(1.0 - facing**2)[:, None] * (pose.rotation @ axis)
+        np.testing.assert_allclose(shifts, seen[:, :2] / seen[:, 2:] - leds[:, :2] / leds[:, 2:], atol=1e-14)
+    assert optics_of(replace(robot, led_offset=None)).tolist() == [0.0] * OPTICS
+
+
+def calibrated(rig: Rig, rng: np.random.Generator, count: int = 100, dome: bool = True) -> Rig:
+    poses = [facing_pose(rng, (0.7, 1.2), (0.0, 55.0)) for _ in range(count)]
+    pairs = survey_pairs(rig, rig, poses, rng, 0.01, traced)
+    return with_offset(rig, calibrate_offset(rig, pairs, "film", DOME_ARGUMENTS if dome else None, None).offset)
+
+
+@pytest.mark.parametrize("dome", [True, False])
+def test_compensated_domes_are_as_good_as_leds_without_any_offset(rng: np.random.Generator, dome: bool) -> None:
+    """At 0.8 m and 45 degrees, poses other than the surveyed ones."""
+    rig = make_rig(1, seed=3)
+    compensated = calibrated(rig, rng, dome=dome)
+    poses = [facing_pose(rng, (0.8, 0.8), (45.0, 45.0)) for _ in range(150)]
+
+    def errors(given: Rig, domes: bool) -> Floats:
+        noise = np.random.default_rng(8)  # the same for all
+        pairs = survey_pairs(rig, given, poses, noise, 0.01, traced if domes else None)
+        away, turned = errors_of(pairs, given, [(s.pose, s.covariance) for s, _ in pairs])
+        return np.append(np.sqrt((away**2).mean(axis=0)), np.median(turned))
+
+    floor, left = errors(rig, domes=False), errors(compensated, domes=True)
+    assert (left < 1.15 * floor).all(), (left, floor)
+    assert (errors(rig, domes=True)[:2] > 20 * floor[:2]).all()
+
+
+def test_what_is_noise_does_not_become_function(rng: np.random.Generator) -> None:
+    rig = make_rig(1, seed=3)
+    for _ in range(3):
+        pairs = survey_pairs(rig, rig, [facing_pose(rng, (0.7, 1.2), (0.0, 55.0)) for _ in range(60)], rng, 0.02)
+        found = calibrate_offset(rig, pairs, "film", None, None)
+        sin2 = np.sin(np.radians(np.arange(0.0, 50.0, 5.0))) ** 2
+        assert len(found.fitted) <= 1
+        assert np.abs(found.offset.shift(sin2)).max() < 0.02e-3
+
+
+def test_a_survey_that_is_off_itself_is_noticed_and_one_wrong_pose_left_out(rng: np.random.Generator) -> None:
+    rig = make_rig(1, seed=3)
+    pairs = survey_pairs(rig, rig, [facing_pose(rng, (0.7, 1.2), (0.0, 55.0)) for _ in range(120)], rng, 0.02, traced)
+    off = [
+        (sighting, replace(told, position=told.position + 1e-4 * rng.standard_normal(3))) for sighting, told in pairs
+    ]
+    sighting, told = off[17]
+    turned = exp_rotation(np.array([2.5, 0.0, 0.0])) @ told.pose.rotation
+    wrong = Pose.from_matrix(turned, told.position + np.array([0.02, 0.0, 0.0]))
+    off[17] = sighting, replace(told, position=wrong.position, orientation=wrong.orientation)
+    found = calibrate_offset(rig, off, "film", DOME_ARGUMENTS, None)
+    assert np.flatnonzero(~found.fit.used).tolist() == [17]
+    assert 0.07e-3 < found.fit.sigmas[1] < 0.14e-3
+    assert np.degrees(found.offset.up_to_rad) < 62.0
+    sharp = calibrate_offset(rig, pairs, "film", DOME_ARGUMENTS, None).offset
+    sin2 = np.sin(np.radians(np.arange(0.0, 50.0, 5.0))) ** 2
+    across = np.sqrt(sin2) * (found.offset.shift(sin2) - sharp.shift(sin2))  # the line of sight, which is what is seen
+    assert np.abs(across).max() < 0.04e-3
+    assert abs(found.offset.axial_shift[0] - sharp.axial_shift[0]) < 4 * found.constant_sigma
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A surveyed film of domes with reflections: 0 to 50 degrees."""
+    folder = tmp_path_factory.mktemp("offset")
+    rig = write_rig(folder, 3)
+    rng = np.random.default_rng(11)
+    poses = [facing_pose(rng, (0.7, 1.1), (tilt, tilt)) for tilt in np.linspace(1.0, 50.0, 45)]
+    write_frames(folder / "frames", rig, poses, rng, traced)
+    write_survey(folder / "truth.jsonl", "alpha", poses)
+    return folder
+
+
+def arguments(film: Path, *more: object, truth: str = "truth.jsonl", source: str = "frames") -> list[str]:
+    return [str(a) for a in ("calibrate", "offset", film / "rig.yaml", film / source, "--truth", film / truth, *more)]
+
+
+def test_the_command_makes_a_file_that_gives_the_surveyed_poses(
+    film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], rng: np.random.Generator
+) -> None:
+    out = tmp_path / "led.yaml"
+    assert main(arguments(film, "--dome", "1.5,2.5e-3,1.25e-3", "-o", out)) == 0
+    told = capsys.readouterr().out
+    assert "constant part: -2.4" in told
+    assert "after, held out" in told
+    assert "dome, index 1.5" in out.read_text()
+    (tmp_path / "camera.yaml").write_text((film / "camera.yaml").read_text())
+    text = (film / "rig.yaml").read_text().replace("2.5e-3}", "2.5e-3, offset: led.yaml}")
+    (tmp_path / "rig.yaml").write_text(text)
+    rig = load_rig(tmp_path / "rig.yaml")
+    # Cold, then warm: the constant part moves spots by more than what following allows for.
+    tracks, last = Tracks.none(), Pose.identity()
+    pose = facing_pose(rng, (0.8, 0.8), (45.0, 45.0))
+    for index in range(3):
+        last = Pose(pose.position + index * np.array([1e-4, 0.0, 0.0]), pose.orientation)
+        image = draw(rig, {"alpha": last}, apparent=traced).expose(rng)
+        result, tracks = localize(Frame(image, 1 + index * 16_666_667, index), rig, tracks)
+        answer = result.answers["alpha"]
+        assert isinstance(answer, PoseEstimate)
+        assert np.linalg.norm(answer.position[:2] - last.position[:2]) < 0.06e-3
+        assert abs(answer.position[2] - last.position[2]) < 0.3e-3
+        assert angle_between(answer.pose.rotation, last.rotation) < np.radians(0.06)
+        assert answer.rms_px < 0.02
+    # Whoever only has the texts (a recording) gets the same rig.
+    again = parse_rig(rig.rig_text, rig.camera_text, "recording", rig.offset_texts)
+    np.testing.assert_array_equal(optics_of(again.robots[0]), optics_of(rig.robots[0]))
+    with pytest.raises(InputError, match=r"led.yaml is not at hand"):
+        parse_rig(rig.rig_text, rig.camera_text, "recording")
+    assert "exists; choose another name" in refused(capsys, *arguments(film, "-o", out))
+    assert main(arguments(film, "-o", out, "--force")) == 0
+    assert "none by theory" in out.read_text()
+    assert "dome, index 1.5" in (tmp_path / "led.yaml.old-1").read_text()
+
+
+def test_simulated_frames_of_a_rig_with_an_offset_have_it(rng: np.random.Generator) -> None:
+    rig = with_offset(make_rig(1, seed=3), LedOffset(np.array([-2e-3, 4e-4]), np.radians(60.0)))
+    scene = Scene(rig, seed=1)
+    truth = scene.truth(3, 0.05)
+    answer = localize(Frame(scene.render(3, truth), 1, 3), rig, Tracks.none())[0].answers["r00"]
+    assert isinstance(answer, PoseEstimate)
+    assert np.linalg.norm(answer.position - truth[0].T_camera_robot.position) < 0.5e-3
+
+
+def test_poses_from_exact_centres_are_exact(rng: np.random.Generator) -> None:
+    """The loop goes on until the shift stands still: nothing of the offset is left in the pose."""
+    offset = LedOffset(np.array([-2.5e-3, 3e-4, 4e-4]), np.radians(60.0))
+    rig = with_offset(make_rig(1, seed=3), offset)
+    rig = replace(rig, robots=(replace(rig.robots[0], led_radius=None),))
+
+    def apparent(led: Floats, axis: Floats) -> Floats:
+        sin2 = 1.0 - (led @ axis) ** 2 / (led @ led)
+        return led + float(offset.shift(np.array(sin2))) * axis
+
+    for _ in range(30):
+        pose = facing_pose(rng, (0.6, 1.2), (20.0, 55.0))
+        pairs = survey_pairs(rig, rig, [pose], rng, 1e-9, apparent)
+        answer = solve_sightings(rig, [pairs[0][0]])[0]
+        assert answer is not None
+        assert_poses_close(answer[0], pose, 2e-7, 5e-6)
+
+
+def test_surveys_that_cannot_be_meant_are_refused_with_what_is_missing(
+    film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "led.yaml"
+    lines = (film / "truth.jsonl").read_text().splitlines()[:20]
+
+    def told(text: str, *more: str, source: str = "frames/000[01]*.png") -> str:
+        (film / "bad.jsonl").write_text(text)
+        return refused(capsys, *arguments(film, *more, "-o", out, truth="bad.jsonl", source=source))
+
+    assert "angles of 15 to 30, 30 to 45 degrees are missing" in told("\n".join(lines[:13]))
+    assert "7 of its poses belong to robots that were located" in told("\n".join(lines[:7]))
+    assert "names none of the frames" in told("\n".join(line.replace("0", "a", 1) for line in lines[:15]))
+    values = [json.loads(line) for line in lines]
+    for value in values:
+        value["robots"][0]["position"] = [1e3 * x for x in value["robots"][0]["position"]]
+    assert "is that mm?" in told("\n".join(json.dumps(value) for value in values))
+    values = [json.loads(line) for line in lines]
+    for value in values:
+        value["robots"][0]["orientation"] = np.roll(value["robots"][0]["orientation"], 1).tolist()
+    assert "is that w x y z?" in told("\n".join(json.dumps(value) for value in values))
+    text = "\n".join(lines)
+    assert "--dome 1.5,2.5,1.25: a length of 2.5 m, expected m" in told(text, "--dome", "1.5,2.5,1.25")
+    assert "less than radius / index" in told(text, "--dome", "1.5,2.5e-3,2e-3")
+    assert "expected an index from 1" in told(text, "--window", "0.9,1e-3")
+    assert not out.exists()
+
+
+def test_led_files_are_read_strictly(tmp_path: Path) -> None:
+    for text, words in (
+        ("axial_shift: [1e-3]\n", "up_to_deg: is missing"),
+        ("axial_shift: []\nup_to_deg: 50\n", "0 values, expected 1 to 8"),
+        ("axial_shift: [1.5]\nup_to_deg: 50\n", "is that mm?"),
+        ("axial_shift: [0.001]\nup_to_deg: 95\n", "expected at most 90"),
+        ("shift: [0.001]\nup_to_deg: 5\n", "did you mean 'axial_shift'?"),
+    ):
+        with pytest.raises(InputError) as caught:
+            parse_offset(text, "led.yaml")
+        assert words in str(caught.value)
+    with pytest.raises(
+        InputError, match=r"led.offset: there is no file .*led.yaml, expected one that asterism calibrate"
+    ):
+        write_rig(tmp_path, 3, "{radius: 2.5e-3, offset: glass/led.yaml}")

@@ -1,0 +1,176 @@
+"""The command line: help, lightness, and one sentence with exit code 2 for every kind of bad input."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from asterism.server.__main__ import _parser, main
+from asterism.server.simulation.demo_rig import DEMO_RIG
+from tests.helpers import REPOSITORY
+from tests.servers import asterism
+
+COMMANDS = ("demo", "serve", "locate", "watch", "replay", "review", "compare", "simulate", "recover")
+HEAVY = ("cv2", "scipy", "numba", "rerun", "mcap", "matplotlib")
+
+
+def imported(statement: str) -> set[str]:
+    """The modules that a statement brings along, in a fresh interpreter."""
+    code = f"{statement}\nimport sys; print('\\n'.join(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return set(done.stdout.split())
+
+
+def test_help_begins_with_lines_to_copy(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in (None, *COMMANDS):
+        with pytest.raises(SystemExit) as ended:
+            main([*([command] if command else []), "--help"])
+        assert ended.value.code == 0
+        told = capsys.readouterr().out
+        assert told.startswith(f"asterism {command or 'demo'}")
+        assert "usage:" in told
+
+
+def test_the_lines_to_copy_are_understood() -> None:
+    parser = _parser()
+    lines = [line.split("  ")[0] for line in parser.format_help().splitlines() if line.startswith("asterism ")]
+    for command in COMMANDS:
+        part = parser._subparsers._group_actions[0].choices[command]  # type: ignore[union-attr,index]
+        lines += [line for line in part.format_help().split("usage:")[0].splitlines() if line]
+    assert len(lines) > 15
+    for line in lines:
+        words = line.replace("'", "").split()
+        assert words[0] == "asterism"
+        parser.parse_args(words[1:])
+
+
+def test_help_and_clients_are_light() -> None:
+    assert not imported("from asterism.server.__main__ import _parser; _parser().format_help()") & set(HEAVY)
+    assert not imported("import asterism.clients") & set(HEAVY)
+
+
+def test_protocol_and_clients_and_recordings_keep_to_themselves() -> None:
+    """protocol <- recordings, protocol <- clients: nobody imports the server, clients and recordings not each other."""
+    allowed = {"protocol": {"protocol"}, "clients": {"protocol", "clients"}, "recordings": {"protocol", "recordings"}}
+    import re
+
+    for folder, may in allowed.items():
+        for path in (REPOSITORY / folder).rglob("*.py"):
+            used = set(re.findall(r"(?:from|import) asterism\.(\w+)", path.read_text()))
+            assert used <= may, f"{path.name} imports {used - may}"
+    for path in (REPOSITORY / "server").rglob("*.py"):
+        assert "asterism.clients" not in path.read_text(), path.name
+
+
+@pytest.fixture
+def frames(tmp_path: Path) -> Path:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "0.png"), np.zeros((100, 100), np.uint8))
+    return folder
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object, code: int = 2) -> str:
+    """Run a command that must be refused; what it says, in one sentence."""
+    try:
+        given = main([str(argument) for argument in arguments])
+    except SystemExit as ended:
+        given = int(ended.code or 0)
+    told = capsys.readouterr().err.strip()
+    assert given == code, told
+    assert told.startswith("asterism")
+    assert "Traceback" not in told
+    assert len(told.splitlines()) == 1, told
+    return told
+
+
+def test_bad_input_gets_one_sentence_and_exit_code_2(
+    capsys: pytest.CaptureFixture[str], frames: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out.jsonl"
+    text = DEMO_RIG.read_text()
+    (tmp_path / "camera.yaml").write_text((DEMO_RIG.parent / "camera.yaml").read_text())
+    (tmp_path / "typo.yaml").write_text(text.replace("range:", "rnage:"))
+    (tmp_path / "void.yaml").write_text("camera: nothing.yaml\nrobots: {}\n")
+    (tmp_path / "empty").mkdir()
+    for arguments, words in (
+        (("locate", "nowhere.yaml", frames, "-o", out), "nowhere.yaml: no such file"),
+        (("locate", tmp_path / "typo.yaml", frames, "-o", out), "unknown key 'rnage'; did you mean 'range'?"),
+        (("locate", tmp_path / "void.yaml", frames, "-o", out), "there is no file"),
+        (("locate", DEMO_RIG, frames, "-o", out), "the image is 100x100, expected 1280x1024"),
+        (("locate", DEMO_RIG, tmp_path / "empty", "-o", out), "holds no images"),
+        (("locate", DEMO_RIG, tmp_path / "none", "-o", out), "there is no such source"),
+        (("locate", DEMO_RIG, "sim", "-o", out), "sim: has no end; locate takes a folder"),
+        (("locate", DEMO_RIG, frames, "-o", tmp_path / "no" / "x"), "cannot be written"),
+        (("locate", DEMO_RIG, frames, "-o", out, "--smooth", "--independent"), "--independent and --smooth exclude"),
+        (("locate", DEMO_RIG, frames), "the following arguments are required: -o"),
+        (("serve", DEMO_RIG, frames, "--listen", "here"), "endpoint 'here': expected PROTOCOL/ADDRESS"),
+        (
+            ("serve", DEMO_RIG, frames, "--listen", "tcp/127.0.0.1:1", "--connect", "tcp/127.0.0.1:2"),
+            "exclude each other",
+        ),
+        (("serve", DEMO_RIG, frames, "--rate", "0"), "argument --rate: 0, expected a number above 0"),
+        (("serve", DEMO_RIG, frames, "--record-frames", "some"), "argument --record-frames: 'some'"),
+        (("serve", DEMO_RIG, frames, "--zenoh", tmp_path / "none.json5"), "cannot be read as a zenoh configuration"),
+        (("watch", "a/b"), "robot id 'a/b' holds '/'"),
+        (("watch", "--connect", "127.0.0.1"), "endpoint '127.0.0.1': expected"),
+        (("replay", frames), "is no recording"),
+        (("replay", tmp_path / "none"), "there is no such recording"),
+        (("replay", frames, "--speed", "nan"), "argument --speed: 'nan', expected a finite number"),
+        (("review", frames, "-o", "x.rrd"), "is no recording"),
+        (("compare", frames, frames), "is no recording"),
+        (("recover", frames), "is no recording"),
+        (("simulate", DEMO_RIG, frames), "exists already, expected a new or empty folder"),
+        (("simulate", DEMO_RIG, tmp_path / "s", "--frames", "0"), "argument --frames: '0'"),
+        (("simulate", DEMO_RIG, tmp_path / "s", "--hide", "2"), "argument --hide: 2, expected a number from 0 to 1"),
+        (("simulate", DEMO_RIG, tmp_path / "s", "--glints", "-1"), "--glints: -1, expected 0 or more"),
+        (("nonsense",), "invalid choice: 'nonsense'"),
+    ):
+        assert words in refused(capsys, *arguments), arguments
+
+
+def test_a_camera_that_does_not_open_is_exit_code_1(capsys: pytest.CaptureFixture[str]) -> None:
+    told = refused(capsys, "serve", DEMO_RIG, "/dev/video97", "--listen", "tcp/127.0.0.1:0", code=1)
+    assert "/dev/video97: the camera does not open (tried V4L2 device /dev/video97)" in told
+
+
+def test_a_zenoh_infrastructure_that_is_not_there_is_exit_code_1(capsys: pytest.CaptureFixture[str]) -> None:
+    from tests.servers import free_endpoint
+
+    told = refused(capsys, "serve", DEMO_RIG, "sim", "--connect", free_endpoint(), code=1)
+    assert "nothing answers there" in told
+
+
+def test_unreadable_images_are_named_skipped_and_counted(tmp_path: Path) -> None:
+    made = asterism("simulate", DEMO_RIG, tmp_path / "s", "--frames", "3")
+    assert made.returncode == 0, made.stderr
+    bad = tmp_path / "s" / "frames" / "00001.png"
+    bad.write_bytes(bad.read_bytes()[:5000])
+    done = asterism("locate", tmp_path / "s" / "rig.yaml", tmp_path / "s" / "frames", "-o", "-")
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) == 2
+    assert "00001.png: is cut off; skipped" in done.stderr
+    assert "1 images could not be read" in done.stderr
+
+
+def test_compare_tells_and_its_exit_code_says_whether_it_is_the_same(tmp_path: Path) -> None:
+    from asterism.server import Frame, Tracks, localize
+    from asterism.server.chain.report import report
+    from asterism.server.simulation.simulate import Scene
+    from tests.recordings.test_recordings import FRAMES, RIG, START_NS, record  # noqa: F401
+
+    scene, made = Scene(RIG, 0), []
+    for index in range(2):
+        frame = Frame(scene.render(index, scene.truth(index, 0.0)), START_NS + index, index)
+        result, _ = localize(frame, RIG, Tracks.none())
+        made.append((frame, report(frame, result, RIG, 0, 0)))
+    a, b = record(tmp_path / "a", made).folder, record(tmp_path / "b", made).folder
+    same = asterism("compare", a, b)
+    assert same.returncode == 0, same.stderr
+    assert "within the tolerances" in same.stdout
+    other = asterism("compare", a, record(tmp_path / "c", made[:1]).folder)
+    assert other.returncode == 1
+    assert "1 only in A" in other.stdout

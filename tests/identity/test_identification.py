@@ -1,0 +1,429 @@
+"""Who is who: invariants, hashing, cold search against brute force, scores and margins, warm matching."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from asterism.protocol.geometry import Floats, Pose
+from asterism.protocol.rig import Rig
+from asterism.server.identity import assign
+from asterism.server.identity.evidence import score
+from asterism.server.identity.identify import Matches, Rays, identify
+from asterism.server.identity.neighbours import first_from, nearest_neighbours
+from asterism.server.identity.plan import Plan, plan_for
+from asterism.server.identity.quads import CELLS, QuadTable, invariants, look_up
+from asterism.server.pose.track import Tracks
+from tests.helpers import facing_pose
+from tests.rigs import make_rig, random_layout
+
+SIGMA_PX = 0.02
+
+
+def spots_of(
+    plan: Plan,
+    poses: dict[int, Pose],
+    rng: np.random.Generator,
+    hidden: dict[int, list[int]] | None = None,
+    clutter: int = 0,
+    brightness: dict[int, float] | None = None,
+) -> tuple[Rays, dict[int, Floats]]:
+    """Spots as the chain would see them, shuffled, and for every robot the spot of each LED (-1: hidden)."""
+    rays, heights, owner = [], [], []
+    for robot, pose in poses.items():
+        mapped = pose.map(plan.layouts[robot])
+        for led in range(6):
+            if led in (hidden or {}).get(robot, []):
+                continue
+            rays.append(mapped[led, :2] / mapped[led, 2] + SIGMA_PX / plan.focal * rng.standard_normal(2))
+            heights.append((brightness or {}).get(robot, 170.0) * rng.uniform(0.85, 1.15))
+            owner.append((robot, led))
+    placed = np.array(rays).reshape(-1, 2)
+    added = 0
+    while added < clutter:
+        ray = rng.uniform([-0.42, -0.34], [0.42, 0.34])
+        if len(placed) == 0 or np.hypot(*(placed - ray).T).min() * plan.focal > 8.0:
+            placed = np.vstack([placed, ray])
+            heights.append(rng.uniform(60, 240))
+            owner.append((-1, -1))
+            added += 1
+    order = rng.permutation(len(owner))
+    placed, height = placed[order], np.array(heights)[order]
+    where = {robot: np.full(6, -1) for robot in poses}
+    for row, k in enumerate(order):
+        if owner[k][0] >= 0:
+            where[owner[k][0]][owner[k][1]] = row
+    n = len(order)
+    variance = np.full(n, (SIGMA_PX / plan.focal) ** 2)
+    covariances = np.column_stack([variance, np.zeros(n), variance])
+    flat = placed * np.array([plan.focal, -plan.focal])
+    return Rays(np.arange(n), flat, placed, covariances, variance, height, np.full(n, 2.5)), where
+
+
+def apart(
+    rng: np.random.Generator, count: int, depth_m: tuple[float, float] = (1.0, 1.8), tilt: float = 45.0
+) -> list[Pose]:
+    """Poses whose plates do not overlap in the image."""
+    poses: list[Pose] = []
+    while len(poses) < count:
+        pose = facing_pose(rng, depth_m, (0.0, tilt))
+        centre = pose.position[:2] / pose.position[2]
+        if all(
+            np.hypot(*(centre - other.position[:2] / other.position[2]))
+            > 0.062 * (1 / pose.position[2] + 1 / other.position[2])
+            for other in poses
+        ):
+            poses.append(pose)
+    return poses
+
+
+def check(matches: Matches, where: dict[int, Floats]) -> tuple[int, int]:
+    """How many robots were found with every LED right, and how many wrong in any way."""
+    right = wrong = 0
+    for k, robot in enumerate(matches.robots.tolist()):
+        told = matches.assignment[k]
+        truth = where.get(robot)
+        good = truth is not None and all(a in (-1, b) for a, b in zip(told, truth, strict=True))
+        right, wrong = right + good, wrong + (not good)
+    return right, wrong
+
+
+def cold(seen: Rays, rig: Rig) -> Matches:
+    return identify(seen, plan_for(rig), Tracks.none(len(rig.robots)), 0)
+
+
+def test_invariants_do_not_change_under_affine_maps(rng: np.random.Generator) -> None:
+    order, values, order2, values2 = np.empty(4, np.int64), np.empty(2), np.empty(4, np.int64), np.empty(2)
+    for _ in range(300):
+        points = rng.normal(size=(4, 2))
+        a = rng.normal(size=(2, 2))
+        if np.linalg.det(a) < 0.05:
+            continue
+        kind, area = invariants(points, order, values)
+        moved = points @ a.T + rng.normal(size=2)
+        kind2, area2 = invariants(moved, order2, values2)
+        assert kind == kind2
+        assert order.tolist() == order2.tolist()
+        np.testing.assert_allclose(values2, values, atol=1e-7)
+        assert area2 == pytest.approx(area * np.linalg.det(a), rel=1e-6)
+
+
+def test_invariants_mean_what_they_say(rng: np.random.Generator) -> None:
+    order, values = np.empty(4, np.int64), np.empty(2)
+    for _ in range(300):
+        points = rng.normal(size=(4, 2))
+        kind, _ = invariants(points, order, values)
+        q, (s, t) = points[order], values
+        if kind == 0:
+            np.testing.assert_allclose(q[0] + s * (q[2] - q[0]), q[1] + t * (q[3] - q[1]), atol=1e-9)
+        else:
+            np.testing.assert_allclose(s * q[0] + t * q[1] + (1 - s - t) * q[2], q[3], atol=1e-9)
+            assert min(s, t, 1 - s - t) >= 0
+    line = np.column_stack([np.arange(4.0), np.arange(4.0)])
+    assert invariants(line, order, values)[0] == -1
+
+
+def test_the_table_holds_every_quad_in_every_rotation(rng: np.random.Generator) -> None:
+    layouts = np.array([random_layout(rng) for _ in range(3)])
+    table = QuadTable(layouts)
+    order, values = np.empty(4, np.int64), np.empty(2)
+    for robot, layout in enumerate(layouts):
+        for leds in itertools.permutations(range(6), 4):
+            kind, _ = invariants(np.ascontiguousarray(layout[list(leds)]), order, values)
+            ring = [robot, *[leds[k] for k in order]]
+            cell = (kind * CELLS + int(values[0] * CELLS)) * CELLS + int(values[1] * CELLS)
+            held = table.held[table.starts[cell] : table.starts[cell + 1]]
+            (entry,) = [k for k in held if table.entries[k].tolist() == ring]
+            assert np.abs(table.numbers[entry, :2] - values).max() < 1e-9
+
+
+def test_four_leds_are_looked_up_in_any_perspective_and_their_mirror_image_is_not(rng: np.random.Generator) -> None:
+    """Every four LEDs of a near, tilted plate are among the matches of their spots; the mirrored spots find nothing
+    with the same labels.
+    """
+    focal, layouts = 1400.0, np.array([random_layout(rng) for _ in range(4)])
+    table = QuadTable(layouts)
+    four, order, values = np.empty((4, 2)), np.empty(4, np.int64), np.empty(2)
+    matches = np.empty(64, np.int64)
+
+    def looked_up(flat: Floats, leds: tuple[int, ...]) -> list[list[int]]:
+        count = look_up(
+            flat, *leds, table.numbers, table.starts, table.held, 0.2, 0.8 * focal / 2.0, 1.25 * focal / 0.8,
+            math.cos(math.radians(75)), focal, four, order, values, matches,
+        )  # fmt: skip
+        assert count < len(matches)
+        return [table.entries[k].tolist() for k in matches[:count]]
+
+    tried = missed = 0
+    for _ in range(60):
+        robot, pose = int(rng.integers(4)), facing_pose(rng, (0.8, 2.0), (0.0, 60.0))
+        seen = pose.map(np.column_stack([layouts[robot], np.zeros(6)]))
+        flat = seen[:, :2] / seen[:, 2:] * [focal, -focal] + 0.05 * rng.standard_normal((6, 2))
+        for leds in itertools.combinations(range(6), 4):
+            found = looked_up(flat, leds)
+            area = invariants(np.ascontiguousarray(flat[list(leds)]), order, values)[1]
+            if area > 300.0:
+                tried += 1
+                missed += [robot, *[leds[k] for k in order]] not in found
+            mirrored = looked_up(flat * [-1.0, 1.0], leds)
+            assert [robot, *[leds[k] for k in order]] not in mirrored
+    assert tried > 700
+    assert missed <= 0.01 * tried
+
+
+def test_nearest_neighbours_equal_sorting_all_distances(rng: np.random.Generator) -> None:
+    points = rng.uniform(0, 500, (80, 2))
+    usable = rng.random(80) < 0.8
+    ranks, heights, radii = rng.permutation(80), rng.uniform(20, 200, 80), rng.uniform(1, 4, 80)
+    lists, counts, reaches = np.empty((80, 6), np.int32), np.zeros(80, np.int32), rng.uniform(90, 150, 80)
+    nearest_neighbours(points, usable, ranks, heights, radii, 0.5, 0.6, reaches, lists, counts)
+    for i in np.flatnonzero(usable):
+        away = np.hypot(*(points - points[i]).T)
+        unlike = (heights < 0.5 * heights[i]) | (np.minimum(radii, radii[i]) < 0.6 * np.maximum(radii, radii[i]))
+        away[i], away[~usable | unlike | (ranks < ranks[i])] = np.inf, np.inf
+        expected = [j for j in np.argsort(away)[:6] if away[j] <= reaches[i]]
+        assert lists[i, : counts[i]].tolist() == expected
+    assert counts.max() == 6
+
+
+def test_the_first_place_equals_searchsorted(rng: np.random.Generator) -> None:
+    xs = np.sort(rng.integers(0, 50, 40).astype(float))
+    for x in [-1.0, 60.0, *rng.integers(0, 50, 30).astype(float)]:
+        assert first_from(xs, x) == np.searchsorted(xs, x, side="left")
+
+
+def test_cold_search_equals_brute_force_on_one_robot(rng: np.random.Generator) -> None:
+    """The slow and obvious way: every ordered choice of six spots, the best affine fit."""
+    rig = make_rig(1, seed=4)
+    plan = plan_for(rig)
+    for _ in range(5):
+        pose = facing_pose(rng, (1.2, 1.6), (0, 25))
+        seen, _ = spots_of(plan, {0: pose}, rng, clutter=2)
+        basis = np.column_stack([plan.layouts[0][:, :2], np.ones(6)])
+        left_over = np.eye(6) - basis @ np.linalg.pinv(basis)
+        best, best_order = np.inf, ()
+        for order in itertools.permutations(range(len(seen.rows)), 6):
+            points = seen.flat[list(order)]
+            residual = float(((left_over @ points) ** 2).sum())
+            if residual < best and np.linalg.det((np.linalg.pinv(basis) @ points)[:2]) > 0:
+                best, best_order = residual, order
+        matches = cold(seen, rig)
+        assert matches.robots.tolist() == [0]
+        assert matches.assignment[0].tolist() == list(best_order)
+
+
+@pytest.mark.parametrize(("clutter", "hide"), [(0, 0.0), (30, 0.0), (30, 0.3)])
+def test_ten_robots_are_found_and_none_is_mistaken(rng: np.random.Generator, clutter: int, hide: float) -> None:
+    rig = make_rig(10, seed=1)
+    plan = plan_for(rig)
+    sightings = right = 0
+    for _ in range(25):
+        poses = dict(enumerate(apart(rng, 10)))
+        hidden = {robot: [int(rng.integers(6))] for robot in poses if rng.random() < hide}
+        seen, where = spots_of(plan, poses, rng, hidden, clutter)
+        found, wrong = check(cold(seen, rig), where)
+        assert wrong == 0
+        sightings, right = sightings + 10, right + found
+    assert right >= 0.99 * sightings
+
+
+def test_robots_without_a_range_in_the_rig_are_found(rng: np.random.Generator) -> None:
+    rig = make_rig(5, seed=2, range_m=None)
+    for _ in range(10):
+        seen, where = spots_of(plan_for(rig), dict(enumerate(apart(rng, 5))), rng, clutter=10)
+        assert check(cold(seen, rig), where) == (5, 0)
+
+
+def with_sizes(seen: Rays, plan: Plan, poses: dict[int, Pose], where: dict[int, Floats]) -> Rays:
+    """The same spots as large as LEDs of 2.5 mm are at their distances."""
+    radii = seen.radii.copy()
+    for robot, pose in poses.items():
+        facing = -pose.rotation[:, 2] @ pose.position / np.linalg.norm(pose.position)
+        rows = where[robot][where[robot] >= 0]
+        radii[rows] = 0.0025 * plan.focal / pose.position[2] * math.sqrt(facing)
+    return replace(seen, radii=radii)
+
+
+@pytest.mark.parametrize("everybody", [False, True])
+def test_four_leds_are_enough_where_nothing_else_explains_them(rng: np.random.Generator, everybody: bool) -> None:
+    """Cold, in a rig of eight: two LEDs hidden of a third of the robots, or of all."""
+    rig = make_rig(8, seed=11)
+    plan = plan_for(rig)
+    lacking = found = 0
+    for _ in range(25):
+        poses = dict(enumerate(apart(rng, 8)))
+        hidden = {robot: rng.choice(6, 2, replace=False).tolist() for robot in poses if everybody or rng.random() < 0.3}
+        seen, where = spots_of(plan, poses, rng, hidden, clutter=0 if everybody else 10)
+        matches = cold(with_sizes(seen, plan, poses, where), rig)
+        assert check(matches, where)[1] == 0
+        lacking += len(hidden)
+        found += len(hidden.keys() & set(matches.robots.tolist()))
+    assert found >= 0.6 * lacking
+
+
+def test_four_leds_of_a_stranger_with_six_are_nobody(rng: np.random.Generator) -> None:
+    rig, strangers = make_rig(8, seed=12), make_rig(8, seed=98)
+    plan = plan_for(strangers)
+    for lit in (6, 5):
+        for _ in range(20):
+            poses = dict(enumerate(apart(rng, 8)))
+            hidden = {robot: rng.choice(6, 6 - lit, replace=False).tolist() for robot in poses}
+            seen, where = spots_of(plan, poses, rng, hidden)
+            assert cold(with_sizes(seen, plan, poses, where), rig).robots.tolist() == []
+
+
+def test_four_leds_among_others_like_them_are_a_doubt_or_nobody(rng: np.random.Generator) -> None:
+    """A fifth and a sixth light within the constellation: it may be a stranger's."""
+    rig = make_rig(8, seed=13)
+    plan = plan_for(rig)
+    for _ in range(10):
+        pose = facing_pose(rng, (1.0, 1.4), (0.0, 40.0))
+        seen, where = spots_of(plan, {0: pose}, rng, {0: [1, 4]})
+        seen = with_sizes(seen, plan, {0: pose}, where)
+        middle = seen.rays.mean(axis=0) + 0.01 * rng.standard_normal((2, 2))
+        more = Rays(
+            np.arange(6),
+            np.vstack([seen.flat, middle * [plan.focal, -plan.focal]]),
+            np.vstack([seen.rays, middle]),
+            *(np.concatenate([a, a[:2]]) for a in (seen.covariances, seen.variances, seen.heights, seen.radii)),
+        )
+        assert cold(more, rig).robots.tolist() == []
+
+
+def test_clutter_alone_is_nobody(rng: np.random.Generator) -> None:
+    rig = make_rig(8, seed=3)
+    for _ in range(40):
+        seen, _ = spots_of(plan_for(rig), {}, rng, clutter=40)
+        assert cold(seen, rig).robots.tolist() == []
+
+
+def test_strangers_are_nobody(rng: np.random.Generator) -> None:
+    rig, strangers = make_rig(5, seed=5), make_rig(5, seed=99)
+    for _ in range(20):
+        seen, _ = spots_of(plan_for(strangers), dict(enumerate(apart(rng, 5))), rng)
+        assert cold(seen, rig).robots.tolist() == []
+
+
+def test_a_dimmer_mirror_image_of_a_robot_is_not_the_robot(rng: np.random.Generator) -> None:
+    rig = make_rig(2, seed=6)
+    plan = plan_for(rig)
+    for _ in range(20):
+        real, mirrored = apart(rng, 2)
+        seen, where = spots_of(plan, {0: real}, rng)
+        ghost, _ = spots_of(plan, {0: mirrored}, rng, brightness={0: 55.0})
+        both = Rays(
+            np.arange(12),
+            *(
+                np.concatenate([getattr(seen, name), getattr(ghost, name)])
+                for name in ("flat", "rays", "covariances", "variances", "heights", "radii")
+            ),
+        )
+        assert check(cold(both, rig), where) == (1, 0)
+
+
+def test_a_robot_seen_twice_equally_bright_is_ambiguous(rng: np.random.Generator) -> None:
+    rig = make_rig(2, seed=6)
+    plan = plan_for(rig)
+    here, there = apart(rng, 2)
+    seen, _ = spots_of(plan, {0: here}, rng)
+    again, _ = spots_of(plan, {0: there}, rng)
+    both = Rays(
+        np.arange(12),
+        *(
+            np.concatenate([getattr(seen, name), getattr(again, name)])
+            for name in ("flat", "rays", "covariances", "variances", "heights", "radii")
+        ),
+    )
+    matches = cold(both, rig)
+    assert matches.robots.tolist() == []
+    assert matches.doubts == {0: "it is seen in two places"}
+
+
+def hypothesis(robot: int, spots: tuple[int, ...], score: float, height: float = 100.0) -> assign.Hypothesis:
+    return assign.Hypothesis(robot, spots, height, score, np.eye(3), np.zeros(3))
+
+
+def test_the_best_set_is_claimed_not_the_best_hypothesis() -> None:
+    # One strong explanation takes spots that two others need; together they explain more.
+    chosen, doubts = assign.assign(
+        [
+            hypothesis(0, (0, 1, 2, 3, 4, 5), 30.0),
+            hypothesis(1, (0, 1, 6, 7, 8, 9), 25.0),
+            hypothesis(2, (4, 5, 10, 11, 12, 13), 25.0),
+        ]
+    )
+    assert sorted(h.robot for h in chosen) == [1, 2]
+    assert doubts == {}
+
+
+def test_a_small_margin_is_a_doubt_about_everybody_concerned() -> None:
+    chosen, doubts = assign.assign([hypothesis(0, (0, 1, 2, 3, 4, 5), 30.0), hypothesis(1, (5, 4, 3, 2, 1, 0), 28.0)])
+    assert chosen == []
+    assert doubts == {0: "its spots may be another robot's", 1: "its spots may be another robot's"}
+
+
+def test_versions_of_one_explanation_are_no_rivals() -> None:
+    chosen, doubts = assign.assign([hypothesis(0, (0, 1, 2, 3, 4, 5), 30.0), hypothesis(0, (0, 1, 2, 3, 4, -1), 28.0)])
+    assert [h.spots for h in chosen] == [(0, 1, 2, 3, 4, 5)]
+    assert doubts == {}
+
+
+def test_what_may_be_chance_is_not_claimed() -> None:
+    chosen, doubts = assign.assign([hypothesis(0, (0, 1, 2, 3, 4, -1), 11.0)])
+    assert chosen == []
+    assert doubts == {0: "its spots may be chance"}
+    assert assign.assign([hypothesis(0, (0, 1, 2, 3, 4, -1), -1.0)]) == ([], {})
+
+
+def test_the_score_falls_with_chance() -> None:
+    def value(seen: int = 5, sigma: float = 0.05, around: int = 8, robots: int = 5, chi2: float = 4.0) -> float:
+        spots = np.where(np.arange(6) < seen, np.arange(6), -1)
+        return float(
+            score(
+                chi2, np.full(6, sigma**2), np.full(6, 100.0), np.full(6, 2.5), spots, around, math.pi * 80**2, robots
+            )
+        )
+
+    assert value(6) > value(5) > value(4)
+    assert value(sigma=0.02) > value(sigma=0.2)
+    assert value(around=6) > value(around=20)
+    assert value(robots=1) > value(robots=50)
+    assert value(chi2=2.0) > value(chi2=15.0)
+    # Twice the density of spots at five LEDs costs two factors of two, and the tries.
+    assert assign.BEYOND_CHANCE > 9.0
+
+
+def test_followed_robots_keep_their_leds_with_two_hidden(rng: np.random.Generator) -> None:
+    rig = make_rig(8, seed=7)
+    plan = plan_for(rig)
+    poses = dict(enumerate(apart(rng, 8)))
+    tracks = Tracks.none(8)
+    for robot, pose in poses.items():
+        tracks.seen_ns[robot] = 1_000_000_000
+        tracks.rotations[robot], tracks.ts[robot] = pose.rotation, pose.position
+        tracks.numbers[robot] = [0.0005, 0.005, 0.1, 0.5, 170.0, 0.0, 0.0]
+    moved = {
+        robot: Pose(pose.position + 0.002 * rng.standard_normal(3), pose.orientation) for robot, pose in poses.items()
+    }
+    hidden = {robot: rng.choice(6, 2, replace=False).tolist() for robot in poses}
+    seen, where = spots_of(plan, moved, rng, hidden, clutter=20)
+    matches = identify(seen, plan, tracks, 1_016_666_667)
+    assert check(matches, where) == (8, 0)
+    assert matches.is_warm.all()
+    assert ((matches.assignment >= 0).sum(axis=1) == 4).all()
+
+
+def test_a_wrong_prediction_falls_back_to_the_cold_search_of_the_same_frame(rng: np.random.Generator) -> None:
+    rig = make_rig(3, seed=8)
+    plan = plan_for(rig)
+    poses = dict(enumerate(apart(rng, 3)))
+    tracks = Tracks.none(3)
+    for robot in range(3):
+        pose = poses[(robot + 1) % 3]  # everybody is where somebody else was
+        tracks.seen_ns[robot] = 1_000_000_000
+        tracks.rotations[robot], tracks.ts[robot] = pose.rotation, pose.position
+        tracks.numbers[robot] = [0.0005, 0.005, 0.1, 0.5, 170.0, 0.0, 0.0]
+    seen, where = spots_of(plan, poses, rng)
+    assert check(identify(seen, plan, tracks, 1_016_666_667), where) == (3, 0)

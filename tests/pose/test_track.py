@@ -1,0 +1,111 @@
+"""What is remembered: predictions, their uncertainty, the evidence for a tilt."""
+
+import math
+
+import numpy as np
+import pytest
+
+from asterism.protocol.geometry import angle_between, exp_rotation
+from asterism.server.pose.choose import axis_cost
+from asterism.server.pose.track import (
+    EVIDENCE,
+    HAS_OTHER,
+    MOST_EVIDENCE,
+    UNKNOWN_SPEED,
+    VELOCITY_SIGMA,
+    Tracks,
+    follow_track,
+    predict,
+    tilt_cost,
+)
+from tests.helpers import random_rotation
+
+STEP_NS = 16_666_667
+COVARIANCE = np.diag([1e-8] * 3 + [1e-6] * 3)
+
+
+def follow(tracks: Tracks, now_ns: int, rotation: np.ndarray, t: np.ndarray, evidence: float = 3.0) -> None:
+    follow_track(
+        tracks.seen_ns, tracks.rotations, tracks.ts, tracks.velocities, tracks.turns, tracks.other_rotations,
+        tracks.numbers, 0, now_ns, rotation, t, COVARIANCE, 170.0, np.eye(3), True, evidence,
+    )  # fmt: skip
+
+
+def predicted(tracks: Tracks, now_ns: int) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
+    n = len(tracks.seen_ns)
+    index, rotations, ts, sigmas = np.empty(n, np.int64), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 2))
+    count = predict(
+        tracks.seen_ns, tracks.rotations, tracks.ts, tracks.velocities, tracks.turns, tracks.numbers, now_ns,
+        index, rotations, ts, sigmas,
+    )  # fmt: skip
+    return count, rotations[0], ts[0], sigmas[0]
+
+
+def test_steady_motion_is_predicted_exactly(rng: np.random.Generator) -> None:
+    tracks, start = Tracks.none(1), random_rotation(rng)
+    velocity, turn = np.array([0.1, -0.05, 0.02]), np.array([0.2, 0.1, -0.3])
+    for k in range(12):
+        dt = k * STEP_NS * 1e-9
+        follow(tracks, 1 + k * STEP_NS, exp_rotation(turn * dt) @ start, np.array([0.0, 0.0, 1.2]) + velocity * dt)
+    count, rotation, t, sigmas = predicted(tracks, 1 + 12 * STEP_NS)
+    dt = 12 * STEP_NS * 1e-9
+    assert count == 1
+    np.testing.assert_allclose(t, np.array([0.0, 0.0, 1.2]) + velocity * dt, atol=1e-6)
+    assert angle_between(rotation, exp_rotation(turn * dt) @ start) < 1e-6
+    assert sigmas[0] < 0.005
+
+
+def test_a_robot_seen_once_may_move_at_any_speed_and_certainty_grows() -> None:
+    tracks = Tracks.none(1)
+    follow(tracks, 1, np.eye(3), np.array([0.0, 0.0, 1.0]))
+    assert tracks.numbers[0, VELOCITY_SIGMA] == UNKNOWN_SPEED
+    first = predicted(tracks, 1 + STEP_NS)[3]
+    for k in range(1, 5):
+        follow(tracks, 1 + k * STEP_NS, np.eye(3), np.array([0.0, 0.0, 1.0]))
+    later = predicted(tracks, 1 + 5 * STEP_NS)[3]
+    assert later[0] < first[0]
+    # And falls with the time that has passed.
+    assert predicted(tracks, 1 + 25 * STEP_NS)[3][0] > later[0]
+
+
+def test_tracks_are_forgotten_and_time_does_not_run_backwards() -> None:
+    tracks = Tracks.none(1)
+    follow(tracks, 5_000_000_000, np.eye(3), np.array([0.0, 0.0, 1.0]))
+    assert predicted(tracks, 5_900_000_000)[0] == 1
+    assert predicted(tracks, 6_100_000_000)[0] == 0
+    assert predicted(tracks, 5_000_000_000)[0] == 0
+    assert predicted(tracks, 4_000_000_000)[0] == 0
+    assert predicted(Tracks.none(1), 5_000_000_000)[0] == 0
+
+
+def test_a_copy_leaves_the_original_alone_and_another_rigs_tracks_are_none() -> None:
+    tracks = Tracks.none(2)
+    copied = tracks.copy_for(2)
+    follow(copied, 7, np.eye(3), np.zeros(3))
+    assert tracks.seen_ns.tolist() == [0, 0]
+    assert copied.copy_for(3).seen_ns.tolist() == [0, 0, 0]
+
+
+def test_the_remembered_tilt_costs_nothing_the_other_what_speaks_against_it() -> None:
+    here, there = np.eye(3), exp_rotation(np.array([math.radians(30), 0, 0]))
+    args = (here, np.zeros(3), 0.1, there, 1.0, 3.0, 0.016)
+    assert tilt_cost(here, *args) == pytest.approx(0.0, abs=1e-9)
+    assert tilt_cost(there, *args) == pytest.approx(2 * 0.95 * 3.0, rel=1e-6)
+    between = exp_rotation(np.array([math.radians(15), 0, 0]))
+    assert tilt_cost(between, *args) > 5.0
+    # However much speaks against it, new evidence can turn it.
+    assert tilt_cost(exp_rotation(np.array([0, math.radians(90), 0])), *args) == pytest.approx(2 * MOST_EVIDENCE)
+
+
+def test_evidence_is_bounded() -> None:
+    tracks = Tracks.none(1)
+    follow(tracks, 1, np.eye(3), np.array([0.0, 0.0, 1.0]), evidence=500.0)
+    assert tracks.numbers[0, EVIDENCE] == MOST_EVIDENCE
+    assert tracks.numbers[0, HAS_OTHER] == 1.0
+
+
+def test_a_normal_inside_its_cone_costs_nothing() -> None:
+    up, within = np.array([0.0, 0.0, 1.0]), math.radians(40)
+    for degrees, cost in ((0, 0.0), (39, 0.0), (42, 1.0), (44, 4.0)):
+        angle = math.radians(degrees)
+        assert axis_cost(np.array([math.sin(angle), 0.0, math.cos(angle)]), up, within) == pytest.approx(cost, abs=1e-6)

@@ -1,0 +1,140 @@
+"""Values whose encoding is fixed for ever, and the golden files made of them: `python -m tests.protocol.make_golden`.
+
+Run it only when the wire format changes on purpose; what changed shows in the JSON beside the bytes.
+"""
+
+import numpy as np
+from google.protobuf.json_format import MessageToJson
+from google.protobuf.message import Message
+
+from asterism.protocol import asterism_pb2 as pb
+from asterism.protocol.camera import Camera
+from asterism.protocol.codec import encode_calibration, encode_odometry, encode_rig, encode_transforms, to_bytes
+from asterism.protocol.geometry import Pose
+from asterism.protocol.messages import RobotPose
+from asterism.protocol.rig import Rig, Robot
+from tests.helpers import REPOSITORY
+
+GOLDEN = REPOSITORY / "protocol" / "golden"
+EXPOSED_NS = 1_795_398_896_123_456_789
+
+ROBOT_POSE = RobotPose(
+    robot="alpha",
+    frame_id="world",
+    pose=Pose(np.array([0.125, -0.25, 1.5]), np.array([0.5, -0.5, 0.5, 0.5])),
+    covariance=np.arange(36.0).reshape(6, 6) / 1024,
+    state="TILT_AMBIGUOUS",
+    leds=5,
+    rms_px=0.0125,
+    sequence=42,
+    exposed_ns=EXPOSED_NS,
+    published_ns=EXPOSED_NS + 3_000_000,
+)
+
+CAMERA = Camera(
+    "cam",
+    1280,
+    1024,
+    np.array([[1400.0, 0.0, 640.0], [0.0, 1402.0, 512.0], [0.0, 0.0, 1.0]]),
+    "plumb_bob",
+    np.array([-0.125, 0.0625, 0.0, 0.0, 0.0]),
+)
+
+RIG = Rig(
+    CAMERA,
+    (
+        Robot(
+            "alpha",
+            np.array(
+                [
+                    [0.05, 0, 0],
+                    [0.02, 0.04, 0],
+                    [-0.03, 0.035, 0],
+                    [-0.045, -0.01, 0],
+                    [-0.01, -0.047, 0],
+                    [0.03, -0.02, 0],
+                ]
+            ),
+            points={"tool": np.array([0.0, 0.0, -0.03])},
+        ),
+    ),
+    T_world_camera=Pose(np.array([0.0, 0.0, 1.25]), np.array([1.0, 0.0, 0.0, 0.0])),
+    rig_text="camera: camera.yaml\n",
+    camera_text="camera_name: cam\n",
+)
+
+
+def frame_report() -> "pb.FrameReport":
+    """One robot located, one lost, three spots."""
+    message = pb.FrameReport(
+        sequence=42,
+        exposed_ns=EXPOSED_NS,
+        arrived_ns=EXPOSED_NS + 1_000_000,
+        solved_ns=EXPOSED_NS + 2_000_000,
+        published_ns=EXPOSED_NS + 3_000_000,
+        frame_id="world",
+        spots=pb.Spots(
+            x=[640.25, 100.5, 3.0],
+            y=[512.75, 200.5, 4.0],
+            covariance_xx=[0.0001, 0.0002, 0.0],
+            covariance_xy=[0.0, 0.00005, 0.0],
+            covariance_yy=[0.0001, 0.0002, 0.0],
+            brightness=[180.0, 90.0, 250.0],
+            radius=[2.5, 2.0, 0.5],
+            fate=[pb.LED, pb.UNEXPLAINED, pb.TOO_SMALL],
+            robot=[0, -1, -1],
+            led=[3, -1, -1],
+        ),
+    )
+    robot = message.robots.add(
+        id="alpha", state=pb.TILT_AMBIGUOUS, covariance=[0.5] * 36, leds=5, rms_px=0.0125, led=[3], spot=[0],
+        residual_x=[0.01], residual_y=[-0.02],
+    )  # fmt: skip
+    robot.pose.position.z = 1.5
+    robot.pose.orientation.w = 1.0
+    robot.alternative.pose.orientation.x = 1.0
+    robot.alternative.odds = 3.5
+    robot.points["tool"].z = 1.47
+    robot.points["lamp"].x = 0.5
+    message.robots.add(id="bravo", state=pb.LOST, reason="its constellation is not among the spots")
+    return message
+
+
+def status() -> "pb.Status":
+    """A second of a server's life."""
+    return pb.Status(
+        time_ns=EXPOSED_NS, source="sim", frames=600, frames_dropped=1, rate_hz=60.0, solve_p50_s=0.002,
+        solve_p99_s=0.004, latency_p50_s=0.003, latency_p99_s=0.006, rejected={"TOO_SMALL": 4, "ELONGATED": 2},
+        robots={"TRACKED": 4, "LOST": 1},
+    )  # fmt: skip
+
+
+def golden() -> dict[str, tuple[bytes, type[Message]]]:
+    """Name -> bytes and message type of every golden file."""
+    from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+    from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+    from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+
+    transforms = [("world", "alpha", ROBOT_POSE.pose), ("alpha", "alpha/tool", Pose.identity())]
+    return {
+        "odometry": (encode_odometry(ROBOT_POSE), Odometry),
+        "frame_report": (to_bytes(frame_report()), pb.FrameReport),
+        "status": (to_bytes(status()), pb.Status),
+        "rig_report": (encode_rig(RIG), pb.RigReport),
+        "transforms": (encode_transforms(EXPOSED_NS, transforms), FrameTransforms),
+        "calibration": (encode_calibration(EXPOSED_NS, CAMERA), CameraCalibration),
+    }
+
+
+def as_json(payload: bytes, kind: type[Message]) -> str:
+    """What the bytes mean, for people and for programs in other languages."""
+    message = kind()
+    message.ParseFromString(payload)
+    return MessageToJson(message, preserving_proto_field_name=True, sort_keys=True) + "\n"
+
+
+if __name__ == "__main__":
+    GOLDEN.mkdir(exist_ok=True)
+    for name, (payload, kind) in golden().items():
+        (GOLDEN / f"{name}.bin").write_bytes(payload)
+        (GOLDEN / f"{name}.json").write_text(as_json(payload, kind))

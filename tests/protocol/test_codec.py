@@ -1,0 +1,122 @@
+"""Bytes on the wire: golden files both ways, round trips, refusals, and the .proto beside the code made of it."""
+
+import re
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.json_format import Parse
+
+from asterism.protocol import asterism_pb2 as pb
+from asterism.protocol import keys
+from asterism.protocol.codec import (
+    decode_frame_report,
+    decode_image,
+    decode_odometry,
+    decode_rig,
+    decode_status,
+    encode_annotations,
+    encode_image,
+    encode_odometry,
+    to_bytes,
+)
+from asterism.protocol.errors import InputError
+from asterism.protocol.schemas import descriptor_set
+from tests.helpers import REPOSITORY, assert_poses_close
+from tests.protocol import make_golden
+
+
+@pytest.mark.parametrize("name", make_golden.golden())
+def test_golden_bytes(name: str) -> None:
+    payload, kind = make_golden.golden()[name]
+    assert payload == (make_golden.GOLDEN / f"{name}.bin").read_bytes()
+    # And from what the JSON says, the same bytes again.
+    told = (make_golden.GOLDEN / f"{name}.json").read_text()
+    assert to_bytes(Parse(told, kind())) == payload
+
+
+def test_odometry_round_trip() -> None:
+    told = make_golden.ROBOT_POSE
+    back = decode_odometry(encode_odometry(told))
+    assert_poses_close(back.pose, told.pose, 0.0, 1e-12)
+    np.testing.assert_array_equal(back.covariance, told.covariance)
+    for name in ("robot", "frame_id", "state", "leds", "rms_px", "sequence", "exposed_ns", "published_ns"):
+        assert getattr(back, name) == getattr(told, name), name
+
+
+@pytest.mark.parametrize(
+    "payload", [b"", b"\x00\x01\x02", b"not protobuf at all", encode_odometry(make_golden.ROBOT_POSE)[:200]]
+)
+def test_bytes_that_are_no_odometry_are_refused(payload: bytes) -> None:
+    with pytest.raises(InputError, match="bytes that are no pose of Asterism"):
+        decode_odometry(payload)
+
+
+@pytest.mark.parametrize(
+    ("decode", "name"),
+    [(decode_frame_report, "FrameReport"), (decode_status, "Status"), (decode_rig, "RigReport")],
+)
+def test_bytes_that_are_no_report_are_refused(decode: object, name: str) -> None:
+    with pytest.raises(InputError, match=f"7 bytes that are no asterism.{name}"):
+        decode(b"\xff\xff\xff\xff\xff\xff\xff")  # type: ignore[operator]
+
+
+def test_image_round_trip_and_refusals(rng: np.random.Generator) -> None:
+    image = rng.integers(0, 256, (1024, 1280)).astype(np.uint8)
+    payload = encode_image(5, make_golden.CAMERA, image)
+    np.testing.assert_array_equal(decode_image(payload), image)
+    message = RawImage()
+    message.ParseFromString(payload)
+    message.encoding = "rgb8"
+    with pytest.raises(InputError, match="encoding 'rgb8', expected mono8"):
+        decode_image(message.SerializeToString())
+    message.encoding, message.data = "mono8", message.data[:-1]
+    with pytest.raises(InputError, match="image message: 1310719 bytes, expected 1280 x 1024"):
+        decode_image(message.SerializeToString())
+
+
+def test_annotations_draw_every_spot_and_name_each_robot_once() -> None:
+    from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+
+    drawn = ImageAnnotations()
+    drawn.ParseFromString(encode_annotations(7, make_golden.frame_report()))
+    assert len(drawn.circles) == 3
+    assert [text.text for text in drawn.texts] == ["alpha 3"]
+
+
+def test_the_proto_and_the_code_made_of_it_agree() -> None:
+    text = (REPOSITORY / "protocol" / "asterism.proto").read_text()
+    text = re.sub(r"//[^\n]*", "", text)
+    told = set()
+    for block, name, body in re.findall(r"(message|enum) (\w+) \{(.*?)\n\}", text, flags=re.DOTALL):
+        pattern = r"(\w+)\s*=\s*(\d+);"
+        told |= {(block, name, field, int(number)) for field, number in re.findall(pattern, body)}
+    compiled = set()
+    for name, message in pb.DESCRIPTOR.message_types_by_name.items():
+        compiled |= {("message", name, field.name, field.number) for field in message.fields}
+    for name, enum in pb.DESCRIPTOR.enum_types_by_name.items():
+        compiled |= {("enum", name, value.name, value.number) for value in enum.values}
+    assert told == compiled
+
+
+def test_a_schema_brings_everything_it_depends_on() -> None:
+    found = FileDescriptorSet()
+    found.ParseFromString(descriptor_set("foxglove.Odometry"))
+    seen: set[str] = set()
+    for file in found.file:
+        assert set(file.dependency) <= seen, "dependencies must come first"
+        seen.add(file.name)
+    assert any("Odometry" in name for name in seen)
+
+
+def test_keys_and_their_robots() -> None:
+    key = keys.odometry("cam", "alpha")
+    assert key == "asterism/cam/robot/alpha/odometry"
+    assert keys.robot_of(key) == "alpha"
+    assert keys.robot_of(f"replay/{keys.visible('cam', 'alpha')}") == "alpha"
+    assert keys.robot_of(keys.frame("cam")) is None
+    for name in ("", "a/b", "a*", "$x", "a?b", "a#b", "@a", "a\nb"):
+        assert keys.key_problem(name), name
+    for name in ("alpha", "robot 7", "röb-1.2_x"):
+        assert keys.key_problem(name) is None, name

@@ -1,0 +1,191 @@
+"""rig.yaml: what is read, what is refused and in which words."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asterism.protocol.errors import InputError
+from asterism.protocol.rig import hidden_led_warnings, load_rig
+from asterism.server.simulation.demo_rig import DEMO_RIG
+from tests.helpers import shared
+from tests.protocol.test_camera import TEXT as CAMERA
+
+RIG = """\
+camera: camera.yaml
+range: [0.8, 2.0]
+masks: [[0, 0, 200, 80]]
+centre: grey-square
+capture: {rate: 60, exposure_us: 500, gain: 0, size: [1280, 1024], bits: 10}
+world:
+  position: [0.0, 0.0, 1.3]
+  orientation: [1.0, 0.0, 0.0, 0.0]
+robots:
+  alpha:
+    leds:
+      - [0.050, 0.000, 0.012]
+      - [0.021, 0.040, 0.012]
+      - [-0.030, 0.035, 0.012]
+      - [-0.045, -0.012, 0.012]
+      - [-0.010, -0.047, 0.012]
+      - [0.030, -0.022, 0.012]
+    led: {radius: 0.0025, axis: [0, 0, 2]}
+    points: {tool: [0.0, 0.0, -0.03]}
+    normal: {world: [0, 0, 1], within_deg: 40}
+  bravo:
+    leds:
+      - [0.045, 0.010, 0.0]
+      - [0.000, 0.050, 0.0]
+      - [-0.045, 0.005, 0.0]
+      - [-0.020, -0.040, 0.0]
+      - [0.005, -0.005, 0.0]
+      - [0.035, -0.035, 0.0]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "camera.yaml").write_text(CAMERA)
+    return tmp_path
+
+
+def refusal(folder: Path, text: str) -> str:
+    (folder / "rig.yaml").write_text(text)
+    with pytest.raises(InputError, match="yaml") as caught:
+        load_rig(folder / "rig.yaml")
+    said = str(caught.value)
+    assert "\n" not in said
+    assert said.startswith(str(folder))
+    return said
+
+
+def test_everything_is_read(folder: Path) -> None:
+    (folder / "rig.yaml").write_text(RIG)
+    rig = load_rig(folder / "rig.yaml")
+    alpha, bravo = rig.robots
+    assert (alpha.id, bravo.id, rig.parent_frame) == ("alpha", "bravo", "world")
+    assert (rig.range_m, rig.masks, rig.centre) == ((0.8, 2.0), ((0, 0, 200, 80),), "grey-square")
+    assert (rig.capture.rate_hz, rig.capture.exposure_us, rig.capture.size) == (60, 500, (1280, 1024))
+    assert rig.capture.bits == 10
+    assert (alpha.led_radius, alpha.axis.tolist()) == (0.0025, [0, 0, 1])
+    assert alpha.points["tool"].tolist() == [0, 0, -0.03]
+    assert alpha.normal is not None
+    assert alpha.normal.within_rad == pytest.approx(np.radians(40))
+    assert (bravo.led_radius, bravo.normal, bravo.points) == (None, None, {})
+    assert rig.rig_text == RIG
+    assert rig.camera_text == CAMERA
+    np.testing.assert_allclose(alpha.T_robot_plane.map(alpha.leds_plane), alpha.leds, atol=1e-12)
+
+
+def test_without_world_poses_are_in_the_cameras_frame(folder: Path) -> None:
+    text = RIG[: RIG.index("world:")] + RIG[RIG.index("robots:") :].replace(
+        "    normal: {world: [0, 0, 1], within_deg: 40}\n", ""
+    )
+    (folder / "rig.yaml").write_text(text)
+    assert load_rig(folder / "rig.yaml").parent_frame == "cam"
+
+
+LED = "      - [0.050, 0.000, 0.012]\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("range:", "rnage:", "unknown key 'rnage'; did you mean 'range'? Accepted: camera, range, masks"),
+        ("    points:", "    pionts:", "robots.alpha: unknown key 'pionts'; did you mean 'points'?"),
+        ("radius:", "raduis:", "robots.alpha.led: unknown key 'raduis'; did you mean 'radius'?"),
+        (LED, "", "robots.alpha.leds: 5 positions, expected 6"),
+        (LED, LED + "      - [0.0, 0.0, 0.012]\n", "robots.alpha.leds: 7 positions, expected 6"),
+        (LED, "      - [0.050, 0.000, 0.022]\n", "mm off the common plane, expected coplanar LEDs"),
+        (LED, "      - [0.050, 0.000]\n", "robots.alpha.leds[0]: 2 values, expected 3 numbers"),
+        (LED, "      - [0.050, 0.000, zero]\n", "robots.alpha.leds[0]: 'zero' is among the values"),
+        (LED, "      - [0.021, 0.0401, 0.012]\n", "LEDs 0 and 1 are 0.1 mm apart"),
+        ("camera: camera.yaml", "camera: other.yaml", "camera: there is no file"),
+        ("range: [0.8, 2.0]", "range: [2.0, 0.8]", "range: [2, 0.8], expected 0 < nearest < farthest"),
+        ("[[0, 0, 200, 80]]", "[[0, 0, 2000, 80]]", "masks[0]: [0.0, 0.0, 2000.0, 80.0], expected whole numbers"),
+        ("grey-square", "centroid", "centre: 'centroid', expected one of edge-model, grey-square"),
+        ("rate: 60", "rate: 0", "capture.rate: 0, expected a number above 0"),
+        ("bits: 10", "bits: 20", "capture.bits: 20, expected a whole number from 8 to 16"),
+        ("[1.0, 0.0, 0.0, 0.0]", "[1.0, 0.0, 0.0, 1.0]", "world.orientation: a quaternion of length 1.41421"),
+        ("axis: [0, 0, 2]", "axis: [0, 0, 0]", "robots.alpha.led.axis: [0, 0, 0] has no direction"),
+        ("axis: [0, 0, 2]", "axis: [1, 0, 0]", "expected led.axis to point out of it"),
+        ("radius: 0.0025", "radius: 2.5", "robots.alpha.led.radius: 2.5, expected m"),
+        ("within_deg: 40", "within_deg: 400", "robots.alpha.normal.within_deg: 400, expected at most 180"),
+        ("  bravo:", "  bra/vo:", "the robot's id 'bra/vo' holds '/'"),
+        ("  bravo:", "  '*':", "the robot's id '*' holds '*'"),
+        ("  bravo:", "  '':", "the robot's id '' is empty"),
+        ("  bravo:", "  7:", "robots: key 7 is 7, expected text; put it in quotes"),
+        ("  bravo:", "  alpha:", "key 'alpha' is given twice"),
+        ("robots:", "robots: []\nrobot:", "unknown key 'robot'; did you mean 'robots'?"),
+    ],
+)
+def test_a_wrong_rig_is_refused_in_one_sentence(folder: Path, old: str, new: str, words: str) -> None:
+    assert old in RIG
+    assert words in refusal(folder, RIG.replace(old, new, 1))
+
+
+def test_no_robots_and_no_mapping_are_refused(folder: Path) -> None:
+    assert "robots: is empty, expected at least one robot" in refusal(folder, "camera: camera.yaml\nrobots: {}\n")
+    assert "robots: is missing, expected a mapping" in refusal(folder, "camera: camera.yaml\n")
+    assert "expected a mapping of keys" in refusal(folder, "- a\n- b\n")
+
+
+def test_a_normal_needs_the_world(folder: Path) -> None:
+    text = RIG[: RIG.index("world:")] + RIG[RIG.index("robots:") :]
+    assert "robots.alpha.normal: needs the rig's `world`" in refusal(folder, text)
+
+
+def test_millimetres_instead_of_metres_are_noticed(folder: Path) -> None:
+    big = RIG.replace("[0.050, 0.000, 0.012]", "[50.0, 0.0, 12.0]")
+    assert "m apart, expected at most 5 m; is that mm?" in refusal(folder, big)
+
+
+def robots_text(*layouts: np.ndarray) -> str:
+    lines = ["camera: camera.yaml", "robots:"]
+    for number, layout in enumerate(layouts):
+        lines += [f"  r{number}:", "    leds:", *(f"      - [{x:.9f}, {y:.9f}, 0.0]" for x, y in layout)]
+    return "\n".join(lines) + "\n"
+
+
+def test_two_robots_of_equal_constellation_are_refused_however_turned_and_ordered(
+    folder: Path, rng: np.random.Generator
+) -> None:
+    from tests.rigs import random_layout
+
+    layout = random_layout(rng)
+    turn = np.array([[0.28, -0.96], [0.96, 0.28]])
+    said = refusal(folder, robots_text(layout, layout[[4, 2, 0, 5, 1, 3]] @ turn.T))
+    assert "r0 and r1 have equal constellations" in said or "r1 and r0 have equal constellations" in said
+
+
+def test_a_symmetric_constellation_is_refused(folder: Path) -> None:
+    angles = np.radians(np.arange(6) * 60.0)
+    hexagon = 0.05 * np.column_stack([np.cos(angles), np.sin(angles)])
+    assert "r0.leds: the constellation looks the same turned" in refusal(folder, robots_text(hexagon))
+
+
+def test_leds_on_a_line_are_refused(folder: Path) -> None:
+    line = np.column_stack([np.linspace(-0.05, 0.05, 6) ** 3 * 400 + np.linspace(-0.05, 0.05, 6), np.zeros(6)])
+    assert "the LEDs lie on one line" in refusal(folder, robots_text(line))
+
+
+def test_robots_alike_with_one_led_hidden_are_warned_of_not_refused(folder: Path, rng: np.random.Generator) -> None:
+    from tests.rigs import random_layout
+
+    layout = random_layout(rng)
+    other = layout.copy()
+    other[2] = -layout[2] * 0.9 + 0.01
+    (folder / "rig.yaml").write_text(robots_text(layout, other))
+    warnings = hidden_led_warnings(load_rig(folder / "rig.yaml"))
+    assert any("with one LED hidden r0 and r1 look alike" in warning for warning in warnings)
+
+
+def test_the_demonstrations_rig_is_good() -> None:
+    rig = load_rig(DEMO_RIG)
+    assert [robot.id for robot in rig.robots] == ["alpha", "bravo", "charlie", "delta", "echo"]
+    assert hidden_led_warnings(rig) == []
+
+
+def test_the_sample_rigs_are_read() -> None:
+    for path in sorted(shared("samples").glob("*/rig.yaml")):
+        assert load_rig(path).robots
