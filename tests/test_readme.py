@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from asterism.protocol.rig import parse_rig
-from asterism.server.__main__ import _parser
 from asterism.server.budget.uncertainty import KEYS, read_uncertainty
+from asterism.server.command.parser import parser
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.helpers import REPOSITORY
 from tests.servers import free_endpoint, running
@@ -35,7 +35,7 @@ def test_it_shows_commands() -> None:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_its_commands_are_commands(command: str) -> None:
     words = shlex.split(command)
-    assert _parser().parse_args(words[1:]).command == words[1]
+    assert parser().parse_args(words[1:]).command == words[1]
 
 
 def test_its_make_words_are_in_the_makefile() -> None:
