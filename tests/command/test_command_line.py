@@ -12,7 +12,6 @@ import pytest
 from asterism.server.__main__ import main
 from asterism.server.command import calibrate, parser
 from asterism.server.simulation.demo_rig import DEMO_RIG
-from tests.helpers import REPOSITORY
 from tests.servers import asterism
 
 COMMANDS = [[name] for name in parser.COMMANDS if name != "calibrate"]
@@ -57,19 +56,6 @@ def test_only_the_commands_that_are_asked_for_are_described() -> None:
 def test_help_and_clients_are_light() -> None:
     assert not imported("from asterism.server.command.parser import parser; parser([]).format_help()") & set(HEAVY)
     assert not imported("import asterism.clients") & set(HEAVY)
-
-
-def test_protocol_and_clients_and_recordings_keep_to_themselves() -> None:
-    """protocol <- recordings, protocol <- clients: nobody imports the server, clients and recordings not each other."""
-    allowed = {"protocol": {"protocol"}, "clients": {"protocol", "clients"}, "recordings": {"protocol", "recordings"}}
-    import re
-
-    for folder, may in allowed.items():
-        for path in (REPOSITORY / folder).rglob("*.py"):
-            used = set(re.findall(r"(?:from|import) asterism\.(\w+)", path.read_text()))
-            assert used <= may, f"{path.name} imports {used - may}"
-    for path in (REPOSITORY / "server").rglob("*.py"):
-        assert "asterism.clients" not in path.read_text(), path.name
 
 
 @pytest.fixture
