@@ -41,4 +41,4 @@ proto: .venv/installed ## compile protocol/asterism.proto
 	build/protoc/bin/python -m grpc_tools.protoc --proto_path=protocol --python_out=protocol --pyi_out=protocol asterism.proto
 
 clean: ## remove the virtual environment and caches
-	rm -rf .venv build src/*.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf .venv build *.egg-info .pytest_cache .mypy_cache .ruff_cache
