@@ -119,7 +119,8 @@ def compare(before: Path, after: Path) -> int:
     print(*told, sep="\n", end="\n" if told else "")
     print(
         f"{len(found)} frames, {len(poses)} poses: {len(told)} states, LEDs, spots or alternatives differ; poses at "
-        f"most {poses.max():.1e} sigma apart (99 %: {np.percentile(poses, 99):.1e}), covariances {covariances.max():.1e}"
+        f"most {poses.max():.1e} sigma apart (99 %: {np.percentile(poses, 99):.1e}), covariances "
+        f"{covariances.max():.1e}"
     )
     return int(bool(told) or max(poses.max(), covariances.max()) > MOST)
 
