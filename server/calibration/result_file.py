@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from asterism.protocol.errors import InputError, WorldError
+from asterism.server.simulation.measured_rig import TRUTH_MARK
 
 
 def check_result_file(path: Path, force: bool) -> None:
@@ -10,6 +11,11 @@ def check_result_file(path: Path, force: bool) -> None:
 
     Raises InputError.
     """
+    if holds_truth(path):
+        raise InputError(
+            f"{path}: holds the truth of a simulation, which nothing measured may replace, not with --force either; "
+            "choose another name"
+        )
     if path.exists() and not force:
         raise InputError(f"{path}: exists; choose another name, or --force to replace it (the old one is kept beside)")
     if path.is_dir():
@@ -18,9 +24,17 @@ def check_result_file(path: Path, force: bool) -> None:
         raise InputError(f"{path}: there is no folder {path.parent}")
 
 
+def holds_truth(path: Path) -> bool:
+    """Whether a file says of itself that it is a simulation's truth, as those of `asterism example` do."""
+    try:
+        return TRUTH_MARK in path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:  # none there, or nothing that can be read: whatever it is, others refuse it
+        return False
+
+
 def write_result_file(path: Path, text: str, force: bool) -> Path | None:
     """Write ``text`` (UTF-8) to ``path``, whole or not at all; returns where the file that was
-    there is kept, if one was.
+    there is kept, if one was. What was made from a simulation's truth is no truth any more, and loses its mark.
 
     Raises InputError as `check_result_file` does, WorldError if the disk does not take it.
     """
@@ -28,7 +42,7 @@ def write_result_file(path: Path, text: str, force: bool) -> Path | None:
     kept = None
     try:
         new = path.with_name(f".{path.name}.new")
-        new.write_text(text, encoding="utf-8")
+        new.write_text(text.replace(f"{TRUTH_MARK}\n", ""), encoding="utf-8")
         if path.exists():
             kept = _free_name(path)
             kept.hardlink_to(path)

@@ -31,6 +31,13 @@ def count(text: str) -> int:
     return int(text)
 
 
+def whole(text: str) -> int:
+    """A whole number, 0 or more."""
+    if not text.isdigit():
+        raise argparse.ArgumentTypeError(f"{text!r}, expected a whole number, 0 or more")
+    return int(text)
+
+
 def not_negative(text: str) -> float:
     """A number, 0 or more."""
     value = number(text)

@@ -16,6 +16,7 @@ COMMANDS = {
     "review": "look at a recording in the rerun viewer",
     "compare": "differences of two recordings, per robot and field",
     "recover": "make a recording that was cut off readable again",
+    "example": "a folder to try everything in without hardware, with a README.md to follow",
     "simulate": "frames of simulated robots, with truth",
     "calibrate": "camera, LED positions, world, LED offset, Z: find what is off and remove it",
     "report": "the error budget of a rig and its workspace, with plots",
