@@ -2,7 +2,7 @@
 
 import numpy as np
 import rerun.blueprint as rrb
-from rerun.datatypes import Plane3D
+from rerun.encodings import Plane3D
 
 from asterism.protocol.geometry import Pose
 from asterism.protocol.rig import Rig
@@ -80,7 +80,7 @@ def _eye(rig: Rig) -> rrb.EyeControls3D:
     """Look from the image's lower side, a little from above and from the right, at robots and camera alike."""
     distance = float(np.mean(working_range(rig)))
     target = np.array([0.0, 0.0, 0.8 * distance])
-    eye = target + distance * np.array([0.3, 1.0, -0.7])
+    eye = target + distance * np.array([0.25, 0.88, -0.65])
     T_parent_camera = rig.T_world_camera or Pose.identity()
     return rrb.EyeControls3D(
         position=T_parent_camera.map(eye),

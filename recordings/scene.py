@@ -23,8 +23,8 @@ STATE_COLOURS: dict[str, Colour] = {
 AXES = ((255, 90, 90), (90, 220, 90), (110, 155, 255))  # x, y, z; roll, pitch, yaw
 LATENCIES = {"exposure to network, ms": (230, 159, 0), "solving, ms": (86, 180, 233)}
 LED_PX = 2.5  # radius on the screen: seen from wherever one looks
-AXIS = 0.5  # of a robot's extent
-NAME_ABOVE = 1.2  # of a robot's extent, from its plate
+AXIS = 0.8  # of a robot's extent
+NAME_ABOVE = 1.6  # of a robot's extent, from its plate
 
 
 def robot_colours(rig: Rig) -> dict[str, Colour]:
@@ -63,7 +63,6 @@ def _place_camera(stream: rr.RecordingStream, rig: Rig) -> None:
         stream.log("world/origin", rr.TransformAxes3D(0.1), static=True)
         place = rr.Transform3D(translation=in_world.position, quaternion=rr.Quaternion(xyzw=in_world.orientation))
         stream.log("world/camera", place, static=True)
-    stream.log("world/camera", rr.TransformAxes3D(0.1 * near), static=True)
     stream.log(
         "world/camera/image",
         rr.Pinhole(
@@ -76,6 +75,8 @@ def _place_camera(stream: rr.RecordingStream, rig: Rig) -> None:
         ),
         static=True,
     )
+    # Else the viewer draws one as long as the frustum.
+    stream.log("world/camera/image", rr.TransformAxes3D(0.1 * near), static=True)
     name = rr.Points3D(
         [0.0, 0.0, 0.0], radii=rr.Radius.ui_points(0.5), colors=[255, 255, 255], labels=[camera.name], show_labels=True
     )
@@ -89,7 +90,7 @@ def _place_robot(stream: rr.RecordingStream, robot: Robot, colour: Colour) -> No
     fan = [(0, k, k + 1) for k in range(1, len(outline) - 1)]
     logged = {
         path: rr.TransformAxes3D(AXIS * robot.extent),
-        f"{path}/plate": rr.Mesh3D(vertex_positions=outline, triangle_indices=fan, albedo_factor=[*colour, 150]),
+        f"{path}/plate": rr.Mesh3D(vertex_positions=outline, triangle_indices=fan, albedo_factor=[*colour, 190]),
         f"{path}/outline": rr.LineStrips3D([edge, mast], colors=colour, radii=rr.Radius.ui_points([1.5, 0.7])),
         f"{path}/leds": rr.Points3D(
             robot.leds,
