@@ -15,15 +15,29 @@ from asterism.server.budget.truth import Bin, Compared
 from asterism.server.budget.uncertainty import FILE, Uncertainty
 from asterism.server.budget.workspace import Budget
 
-_STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #1b1b1b; max-width: 76rem; margin: 2rem auto; padding: 0 1.2rem; }
-h1 { font-size: 1.7rem; margin-bottom: .2rem; } h2 { font-size: 1.25rem; margin-top: 2.4rem; }
-table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums; font-size: .93rem; }
-th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #ddd; vertical-align: top; }
-th { border-bottom: 2px solid #888; } th:first-child, td:first-child, td.text, th.text { text-align: left; }
-tr.all td { font-weight: 700; border-top: 2px solid #888; }
-figure { margin: 1.4rem 0 2.2rem; } figcaption { color: #444; max-width: 60rem; } img { max-width: 100%; height: auto; }
-.given { color: #00603f; font-weight: 600; } .assumed { color: #9a4a00; } p { max-width: 60rem; }
+_PHONE = "(max-width: 640px)"
+_STYLE = f"""
+body {{ font: 100%/1.5 system-ui, sans-serif; color: #1b1b1b; max-width: 76rem; margin: 1.5rem auto;
+  padding: 0 max(1rem, env(safe-area-inset-left)); -webkit-text-size-adjust: 100%; }}
+h1 {{ font-size: 1.6rem; line-height: 1.25; overflow-wrap: anywhere; margin-bottom: .2rem; }}
+h2 {{ font-size: 1.25rem; margin-top: 2.2rem; }}
+p, figcaption {{ max-width: 60rem; overflow-wrap: anywhere; }}
+.wide {{ overflow-x: auto; margin: 1rem 0; }}
+table {{ border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .93rem; }}
+th, td {{ padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #ddd; vertical-align: top; }}
+th {{ border-bottom: 2px solid #888; white-space: nowrap; }}
+th:first-child, td:first-child, td.text, th.text {{ text-align: left; }}
+.numbers th:first-child, .numbers td:first-child {{ position: sticky; left: 0; background: #fff; white-space: nowrap; }}
+tr.all td {{ font-weight: 700; border-top: 2px solid #888; }}
+figure {{ margin: 1.4rem 0 2rem; }} figcaption {{ color: #444; }} img {{ max-width: 100%; height: auto; }}
+.given {{ color: #00603f; font-weight: 600; }} .assumed {{ color: #9a4a00; }}
+@media {_PHONE} {{
+  th, td {{ padding: .25rem .3rem; font-size: .9em; }}
+  .sources tr {{ display: block; border-bottom: 1px solid #ddd; padding: .4rem 0; }}
+  .sources th {{ display: none; }} .sources td {{ display: block; border: 0; padding: 0; }}
+  .sources td:first-child {{ font-weight: 600; }}
+  picture img {{ width: 100%; }}
+}}
 """
 
 
@@ -122,7 +136,7 @@ def _sources(uncertainty: Uncertainty, light: Light, rig: Rig) -> str:
         for name, what, origin in assumptions(uncertainty, light, rig)
     ]
     head = '<tr><th>source</th><th class="text">one standard deviation</th><th class="text">origin</th></tr>'
-    return f"<table>{head}{''.join(rows)}</table>"
+    return _scrolled("sources", f"{head}{''.join(rows)}")
 
 
 def _table(budget: Budget, row: int) -> str:
@@ -130,7 +144,12 @@ def _table(budget: Budget, row: int) -> str:
     lines = [_row(name, np.sqrt(variance), "") for name, variance in zip(SOURCES, variances, strict=True)]
     lines.append(_row("all together", np.sqrt(variances.sum(axis=0)), "all"))
     head = "".join(f"<th>{name}, {unit}</th>" for name, unit in zip(COMPONENTS, UNITS, strict=True))
-    return f"<table><tr><th>at {budget.distances[row]:.2f} m</th>{head}</tr>{''.join(lines)}</table>"
+    return _scrolled("numbers", f"<tr><th>at {budget.distances[row]:.2f} m</th>{head}</tr>{''.join(lines)}")
+
+
+def _scrolled(kind: str, rows: str) -> str:
+    """A table that is moved sideways on its own where the page is narrower than it."""
+    return f'<div class="wide"><table class="{kind}">{rows}</table></div>'
 
 
 def _row(name: str, sigmas: Floats, kind: str) -> str:
@@ -151,7 +170,7 @@ def _measured(compared: Compared, bins: list[Bin], what: str) -> list[str]:
     return [
         f"<p>{escape(what)}: {len(compared.errors)} sightings, {compared.lost} lost, {compared.flips} with the wrong "
         "one of two tilts (left out below). Each cell: measured RMS / predicted one sigma.</p>",
-        f"<table><tr><th>distance</th><th>sightings</th>{head}</tr>{''.join(rows)}</table>",
+        _scrolled("numbers", f"<tr><th>distance</th><th>sightings</th>{head}</tr>{''.join(rows)}"),
         f"<p>Squared error weighted by the budget&#8217;s covariance averages {whole:.1f}, by the chain&#8217;s own "
         f"{own:.1f}; 6 is honest. One rig is one throw of its systematic errors: its measured errors lie about the "
         "predicted ones, more or less, and only many rigs agree with them on average.</p>",
@@ -159,8 +178,12 @@ def _measured(compared: Compared, bins: list[Bin], what: str) -> list[str]:
 
 
 def _figure(plot: Plot) -> str:
-    data = base64.b64encode(plot.png).decode("ascii")
     caption = escape(plot.caption)
     return (
-        f'<figure><img src="data:image/png;base64,{data}" alt="{caption}"><figcaption>{caption}</figcaption></figure>'
+        f'<figure><picture><source media="{_PHONE}" srcset="{_data(plot.narrow)}">'
+        f'<img src="{_data(plot.png)}" alt="{caption}"></picture><figcaption>{caption}</figcaption></figure>'
     )
+
+
+def _data(png: bytes) -> str:
+    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"

@@ -12,7 +12,8 @@ import rerun as rr
 from asterism.protocol.codec import decode_frame_report, decode_image
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.messages import FRAME_REPORT, IMAGE
-from asterism.recordings.drawing import APPLICATION, Drawing, blueprint
+from asterism.recordings.drawing import APPLICATION, Drawing
+from asterism.recordings.layout import blueprint
 from asterism.recordings.reader import Recording
 from asterism.server.command.progress import progress
 from asterism.server.command.shared_arguments import add_recording

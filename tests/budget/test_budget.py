@@ -252,16 +252,33 @@ def demo_rig(folder: Path) -> Path:
 
 
 class _Links(HTMLParser):
-    """Every address that a page names, and its images."""
+    """Every address that a page names, its tags, and for each table what encloses it; tags that end are balanced."""
 
     def __init__(self) -> None:
         super().__init__()
         self.addresses: list[str] = []
+        self.narrow: list[str] = []
         self.tags: list[str] = []
+        self.around_tables: list[tuple[str, str | None]] = []
+        self._open: list[tuple[str, str | None]] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
+        if tag == "table":
+            self.around_tables.append(self._open[-1])
+        if tag not in ("meta", "img", "source"):
+            self._open.append((tag, dict(attrs).get("class")))
+        if tag == "source":
+            self.narrow.append(dict(attrs)["srcset"] or "")
+            return
         self.addresses += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data", "action")]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop()[0] == tag
+
+    def close(self) -> None:
+        super().close()
+        assert not self._open
 
 
 @pytest.fixture(scope="module")
@@ -287,6 +304,7 @@ def test_the_page_needs_nothing_but_itself(reported: tuple[Path, str]) -> None:
     page = (out / "report.html").read_text()
     links = _Links()
     links.feed(page)
+    links.close()
     assert links.tags.count("img") == len(links.addresses) == 5
     plots = sorted(out.glob("*.png"))
     inlined = {base64.b64decode(address.removeprefix("data:image/png;base64,")) for address in links.addresses}
@@ -295,6 +313,30 @@ def test_the_page_needs_nothing_but_itself(reported: tuple[Path, str]) -> None:
     assert not {"script", "link", "iframe", "object"} & set(links.tags)
     assert "http" not in page
     assert not re.search(r"url\(|@import", page)
+
+
+def test_the_page_fits_a_phone(reported: tuple[Path, str]) -> None:
+    page = (reported[0] / "report.html").read_text()
+    links = _Links()
+    links.feed(page)
+    assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in page
+    # What is wider than the page scrolls by itself; nothing has a width of its own.
+    assert set(links.around_tables) == {("div", "wide")}
+    assert ".wide { overflow-x: auto;" in page
+    style = page.partition("<style>")[2].partition("</style>")[0]
+    assert re.findall(r"(?<![-\w])(?:min-)?width: *([^;})]+)", style) == ["100%"]
+    assert "width=" not in page.partition("</head>")[2]
+    assert len(links.narrow) == len(links.addresses) == 5
+    for wide, narrow in zip(links.addresses, links.narrow, strict=True):
+        wide_px, narrow_px = _width_px(wide), _width_px(narrow)
+        # Letters of the same size in px on a sheet as wide as the page.
+        assert wide_px == 1200
+        assert narrow_px < 700
+
+
+def _width_px(address: str) -> int:
+    png = base64.b64decode(address.removeprefix("data:image/png;base64,"))
+    return int.from_bytes(png[16:20])
 
 
 def test_the_page_tells_what_is_given_what_assumed_and_what_the_frames_told(reported: tuple[Path, str]) -> None:
