@@ -9,7 +9,8 @@ from pathlib import Path
 import zenoh
 from rich.console import Console
 
-from asterism.clients.watch import RobotTable, show
+from asterism.clients.watch import show
+from asterism.clients.watched import RobotTable
 from asterism.protocol.codec import encode_rig
 from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
 from asterism.protocol.rig import load_rig
