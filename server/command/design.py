@@ -9,6 +9,7 @@ from rich.table import Table
 
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.geometry import Floats
+from asterism.protocol.program import typed
 from asterism.protocol.rig import parse_rig
 from asterism.server.command.number_arguments import count, positive
 from asterism.server.design.drill_plan import drill_plan
@@ -56,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
         f"written: {out / 'rig.yaml'}; {out / 'camera.yaml'}, nominal: put your calibrated camera's in its place; "
         f"{out / 'drill'}: a drill plan of each, SVG and PDF"
     )
-    print(f"next: asterism check {out / 'rig.yaml'}")
+    print(f"next: {typed('check', out / 'rig.yaml')}")
     return 0
 
 

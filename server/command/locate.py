@@ -3,6 +3,8 @@
 import argparse
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -10,17 +12,23 @@ import msgspec
 
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.geometry import Pose
-from asterism.protocol.rig import load_rig
+from asterism.protocol.rig import Rig, load_rig
 from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.chain.pipeline import localize
 from asterism.server.chain.smooth import Motions, smooth
 from asterism.server.chain.warm_up import warm_up
-from asterism.server.command.progress import progress
 from asterism.server.command.shared_arguments import FINITE_SOURCE, add_smoothing
 from asterism.server.pose.solve import PoseEstimate
 from asterism.server.pose.track import Tracks
+from asterism.server.service.adviser import Adviser
+from asterism.server.service.live_line import LiveLine, Now
 from asterism.server.service.say import say, say_warnings
+from asterism.server.service.serve import Stop, stop_on_signals
+from asterism.server.service.tally import Tally
 from asterism.server.sources.open_source import open_source, refuse_endless
+from asterism.server.sources.source import Source
+
+STOPPED = 130  # as a shell tells of Ctrl-C
 
 EXAMPLES = (
     "asterism locate rig.yaml frames/ -o poses.jsonl\n"
@@ -48,22 +56,61 @@ def run(options: argparse.Namespace) -> int:
     refuse_endless(options.source, "locate")
     source = open_source(options.source, rig, say)
     warm_up()
-    encoder = msgspec.json.Encoder()
-    tracks, motions = Tracks.none(), Motions.none()
-    with _output(options.out) as out:
-        for frame in progress(source.frames(), source.length, "localizing"):
-            result, after = localize(frame, rig, tracks)
-            if not options.independent:
-                tracks = after
-            if options.smooth:
-                result, motions = smooth(result, motions)
+    encoder, stop = msgspec.json.Encoder(), Stop()
+    tally = Tally(robot.id for robot in rig.robots)
+    adviser = Adviser(rig, tally, say)
+    with _output(options.out) as out, stop_on_signals(stop), _live_line(options.out, source, tally):
+        for frame, result in _located(source.frames(), rig, options.independent, options.smooth):
             try:
                 out.write(encoder.encode(line(frame, result)) + b"\n")
             except OSError as error:
                 raise WorldError(f"{options.out}: cannot be written ({error.strerror})") from None
+            tally.add(frame, result)
+            adviser.look()
+            if stop():
+                break
     if source.unreadable:
         say(f"{source.unreadable} images could not be read and were skipped")
-    return 0
+    say(f"{tally.frames} frames" + (f" of {source.length}" if stop() and source.length else ""))
+    for told in adviser.summary():
+        say(told)
+    return _left(options.out, tally.frames) if stop() else 0
+
+
+def _located(
+    frames: Iterator[Frame], rig: Rig, independent: bool, smoothed: bool
+) -> Iterator[tuple[Frame, FrameResult]]:
+    tracks, motions = Tracks.none(), Motions.none()
+    for frame in frames:
+        result, after = localize(frame, rig, tracks)
+        if not independent:
+            tracks = after
+        if smoothed:
+            result, motions = smooth(result, motions)
+        yield frame, result
+
+
+def _live_line(out: Path, source: Source, tally: Tally) -> AbstractContextManager[object]:
+    """How it goes; nothing where the lines themselves run over the terminal."""
+    if str(out) == "-" and sys.stdout.isatty():
+        return nullcontext()
+
+    def now() -> Now:
+        notes = [f"{source.unreadable} unreadable"] if source.unreadable else []
+        return Now(tally.frames, source.length, tally.rate_hz(), tally.newest(), notes)
+
+    return LiveLine(now)
+
+
+def _left(out: Path, lines: int) -> int:
+    """Say what is left of a run that was stopped; a file that is not whole must not look so, nor be in the way."""
+    if not out.is_file() or str(out) == "-":
+        say(f"stopped after {lines} lines")
+        return STOPPED
+    part = out.with_name(f"{out.name}.part")
+    out.replace(part)
+    say(f"stopped; the first {lines} lines are left in {part}")
+    return STOPPED
 
 
 def line(frame: Frame, result: FrameResult) -> dict[str, Any]:

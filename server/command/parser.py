@@ -2,10 +2,12 @@
 
 import argparse
 import importlib
+import re
 from types import ModuleType
 from typing import NoReturn
 
 from asterism import __version__
+from asterism.protocol.program import NAME, program
 
 COMMANDS = {
     "demo": "simulated camera, five robots on a curved surface: serve, record, watch",
@@ -39,12 +41,13 @@ class Parser(argparse.ArgumentParser):
     examples = ""
 
     def format_help(self) -> str:
-        """The examples, then argparse's own help."""
-        return f"{self.examples}\n{super().format_help()}" if self.examples else super().format_help()
+        """The examples, by the name that this program was started with, then argparse's own help."""
+        examples = re.sub(f"^{NAME} ", lambda _: f"{program()} ", self.examples, flags=re.MULTILINE)
+        return f"{examples}\n{super().format_help()}" if examples else super().format_help()
 
     def error(self, message: str) -> NoReturn:
         """One sentence and exit code 2."""
-        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+        self.exit(2, f"{self.prog}: {message}; see {self.prog.replace(NAME, program(), 1)} --help\n")
 
 
 def module_of(command: str) -> ModuleType:

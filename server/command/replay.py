@@ -10,6 +10,7 @@ from asterism.protocol.codec import decode_frame_report, encode_rig
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import FRAME_REPORT, Message
 from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
+from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.reader import Recording
 from asterism.server.command.number_arguments import positive
@@ -66,14 +67,22 @@ def run(options: argparse.Namespace) -> int:
         stack.enter_context(stop_on_signals(stop))
         where = options.connect or options.listen or options.zenoh or DEFAULT_ENDPOINT
         say(f"replaying {options.recording} at {where} under {prefix}asterism/{rig.camera.name}")
+        say(f"watch it in another terminal: {typed('watch', *_watching(options, prefix))}")
         published = 0
         while not stop():
             source = _solved(recording, rig) if options.solve is not None else recording.messages()
             published += _play(_wire(source), publisher, options.speed, stop)
             if not options.loop:
                 break
-    say(f"{published} messages published")
+    say(f"{'stopped after ' if stop() else ''}{published} messages published")
     return 0
+
+
+def _watching(options: argparse.Namespace, prefix: str) -> list[object]:
+    """The arguments with which `watch` shows this replay."""
+    where = options.connect or options.listen
+    client = ["--connect", where] if where else ["--zenoh", options.zenoh] if options.zenoh else []
+    return [*(["--prefix", prefix] if prefix else []), *client]
 
 
 def _wire(messages: Iterator[Message]) -> Iterator[Message]:

@@ -7,14 +7,16 @@ from pathlib import Path
 from asterism.protocol.codec import encode_rig
 from asterism.protocol.errors import InputError
 from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
+from asterism.protocol.program import typed
 from asterism.protocol.rig import load_rig
 from asterism.recordings.recorder import Recorder
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.number_arguments import count, positive
 from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing
+from asterism.server.service.live_line import LiveLine
 from asterism.server.service.publish import Publisher
 from asterism.server.service.say import say, say_warnings
-from asterism.server.service.serve import Sink, Stop, serve, stop_on_signals
+from asterism.server.service.serve import Outlets, Run, Sink, Stop, stop_on_signals
 from asterism.server.sources.open_source import open_source
 
 EXAMPLES = (
@@ -74,19 +76,20 @@ def run(options: argparse.Namespace) -> int:
         say(f"serving {len(rig.robots)} robots of camera '{rig.camera.name}' from {source.name} at {where}")
         if recorder is not None:
             say(f"recording to {recorder.folder}")
-        summary = None
+        served = Run(rig, source, Outlets(publisher, recorder, sinks), stop)
         try:
-            with stop_on_signals(stop):
-                summary = serve(rig, source, publisher, recorder, stop, options.rate, sinks, options.smooth)
+            with stop_on_signals(stop), LiveLine(served.now):
+                served.serve(options.rate, options.smooth)
         finally:
             if recorder is not None:
-                ending = {} if summary is None else {"frames": str(summary.frames), "dropped": str(summary.dropped)}
-                recorder.close(ending)
-    say(
-        f"{summary.frames} frames, {summary.dropped} dropped, {summary.unreadable} unreadable"
-        + (f", {summary.left_out} not recorded" if recorder is not None else "")
-    )
-    if recorder is not None and recorder.problem:
+                recorder.close(served.ending())
+    for line in served.summary():
+        say(line)
+    if recorder is None:
+        return 0
+    say(f"recorded in {recorder.folder}")
+    say(f"look at it: {typed('review', recorder.folder)}")
+    if recorder.problem:
         say(recorder.problem)
         return 1
     return 0
