@@ -13,7 +13,7 @@ PAD = 10
 LINE = 16
 GAP = 14
 LANE = 16
-CHARACTERS = 50  # of a sentence in a line of a box
+CHARACTERS = 47  # of a sentence in a line of a box
 HUES = (210, 32, 130, 275, 0, 180, 55, 320, 95, 240, 15, 155, 295, 75, 195, 340)
 
 

@@ -42,7 +42,7 @@ def row(distance: float, points: Floats) -> str:
     bound = pose_bound(points, distance, math.radians(TILT_DEG), used / FOCAL_PX)
     cells = [
         f"{distance:g}",
-        " x ".join(f"{size * distance / FOCAL_PX:.2f}" for size in SIZE_PX),
+        "x".join(f"{size * distance / FOCAL_PX:.2f}" for size in SIZE_PX),
         *(f"{size:.1f}" for size in sizes),
         f"{noise:.4f}",
         f"{bound.across_m * 1e3:.3f}",
