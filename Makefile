@@ -45,4 +45,4 @@ proto: .venv/installed ## compile protocol/asterism.proto
 	build/protoc/bin/python -m grpc_tools.protoc --proto_path=protocol --python_out=protocol --pyi_out=protocol asterism.proto
 
 clean: ## remove the virtual environment and caches
-	rm -rf .venv build site src/*.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf .venv build site *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -19,8 +19,8 @@ from docs.programs.tree import rooms
 
 from asterism.protocol.rig import parse_rig
 from asterism.protocol.yaml_file import parse_yaml
-from asterism.server.__main__ import _parser
 from asterism.server.budget.uncertainty import KEYS, read_uncertainty
+from asterism.server.command.parser import parser
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.documents import Block, blocks, pages
 from tests.helpers import REPOSITORY
@@ -38,7 +38,7 @@ def parses(words: list[str]) -> bool:
     """Whether the command line takes these words."""
     with contextlib.redirect_stderr(None):
         try:
-            options: argparse.Namespace = _parser().parse_args(words)
+            options: argparse.Namespace = parser(words).parse_args(words)
         except SystemExit as end:
             return end.code == 0  # --help, --version
     return bool(options.command == words[0])

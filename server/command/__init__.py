@@ -1,1 +1,1 @@
-"""One module a command: its arguments and its run(options) -> exit code."""
+"""One module a command: EXAMPLES, `add_arguments(part)` (or SUBCOMMANDS), and `run(options)` -> exit code."""

@@ -23,15 +23,34 @@ from asterism.server.calibration.lens.targets import Target, parse_target
 from asterism.server.calibration.result_file import check_result_file, write_result_file
 from asterism.server.chain.frame import Frame
 from asterism.server.chain.warm_up import warm_up
+from asterism.server.command.calibrate import TARGET, add_source_and_out
 from asterism.server.command.progress import progress
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source
 from asterism.server.sources.source import Source
 
+EXAMPLES = (
+    "asterism calibrate camera boards/ --target chessboard:9x6:0.025 -o camera.yaml\n"
+    "asterism calibrate camera /dev/video0 --target charuco:8x6:0.03 -o camera.yaml\n"
+    "asterism calibrate camera film/ --target leds:alpha.yaml -o camera.yaml\n"
+)
+
 SAMPLES = 5  # images that are kept for a hint
 STILL_PX = 1.0  # between two frames of a live camera: the board is held still
 NEW_SHARE = 0.06  # of the image's width: a view differs so much from all before
 ENOUGH_VIEWS = 25  # of a live camera, if they cover the image
+
+
+def add_arguments(part: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    add_source_and_out(part, "camera.yaml", rig=False)
+    part.add_argument("--target", metavar="TARGET", required=True, help=TARGET)
+    part.add_argument(
+        "--model",
+        choices=["auto", "plumb_bob", "rational_polynomial", "equidistant"],
+        default="auto",
+        help="auto: the one with the least held-out error (default)",
+    )
 
 
 def run(options: argparse.Namespace) -> int:

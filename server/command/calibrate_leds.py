@@ -15,11 +15,38 @@ from asterism.server.calibration.result_file import check_result_file, write_res
 from asterism.server.calibration.rewrite import relocate, rewrite
 from asterism.server.chain.frame import Frame
 from asterism.server.chain.warm_up import warm_up
+from asterism.server.command.calibrate import add_source_and_out
+from asterism.server.command.number_arguments import positive
 from asterism.server.command.progress import progress
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
 
+EXAMPLES = "asterism calibrate leds rig.yaml film/ --robot alpha --distance 0,3=0.0862 -o rig2.yaml\n"
+
 DECIMALS = 7  # of positions in m: a tenth of a micrometre
+
+
+def add_arguments(part: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    add_source_and_out(part, "rig.yaml")
+    part.add_argument("--robot", metavar="ID", required=True, help="which robot")
+    part.add_argument(
+        "--distance",
+        metavar="I,J=METRES",
+        type=_distance,
+        required=True,
+        help="measured between two of its LEDs, counted from 0",
+    )
+
+
+def _distance(text: str) -> tuple[int, int, float]:
+    pair, _, metres = text.partition("=")
+    leds = pair.split(",")
+    if len(leds) != 2 or not all(led.isdigit() and int(led) < 6 for led in leds) or leds[0] == leds[1] or not metres:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}, expected I,J=METRES: two LEDs from 0 to 5, and what is between them"
+        )
+    return int(leds[0]), int(leds[1]), positive(metres)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -1,6 +1,7 @@
 """asterism calibrate offset: how far LEDs seem to move with the angle they are seen at."""
 
 import argparse
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -15,13 +16,36 @@ from asterism.server.calibration.survey.offset import BAND_DEG, FEWEST_POSES, Of
 from asterism.server.calibration.survey.survey import read_survey
 from asterism.server.calibration.survey.surveyed import check_survey, pair
 from asterism.server.chain.warm_up import warm_up
+from asterism.server.command.calibrate import TRUTH, add_source_and_out
+from asterism.server.command.number_arguments import positives
 from asterism.server.command.progress import progress
 from asterism.server.pose.led_optics import check_cover
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
 
+EXAMPLES = (
+    "asterism calibrate offset rig.yaml tilted/ --truth surveyed.jsonl -o led.yaml\n"
+    "asterism calibrate offset rig.yaml tilted/ --truth surveyed.jsonl --dome 1.5,0.0025,0.00125 -o led.yaml\n"
+)
+
 DECIMALS = 10  # of coefficients in m
 TABLE_DEG = 15
+
+
+def add_arguments(part: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    add_source_and_out(part, "led.yaml")
+    part.add_argument("--truth", metavar="TRUTH", type=Path, required=True, help=TRUTH)
+    cover = part.add_mutually_exclusive_group()
+    cover.add_argument(
+        "--dome",
+        metavar="n,radius,depth",
+        type=positives(3),
+        help="refraction at a dome: index, radius, chip depth, m",
+    )
+    cover.add_argument(
+        "--window", metavar="n,depth", type=positives(2), help="refraction at a flat window: index, chip depth, m"
+    )
 
 
 def run(options: argparse.Namespace) -> int:

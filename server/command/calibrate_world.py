@@ -20,12 +20,26 @@ from asterism.server.calibration.survey.surveyed import pair
 from asterism.server.calibration.survey.world import WorldFit, fit_world, without_world
 from asterism.server.calibration.survey.world_board import View, fit_board
 from asterism.server.chain.warm_up import warm_up
+from asterism.server.command.calibrate import TARGET, TRUTH, add_source_and_out
 from asterism.server.command.progress import progress
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
 
+EXAMPLES = (
+    "asterism calibrate world rig.yaml board.png --target chessboard:9x6:0.025 -o rig2.yaml\n"
+    "asterism calibrate world rig.yaml frames/ --truth surveyed.jsonl -o rig2.yaml\n"
+)
+
 MOST_ROWS = 40
 TURNED_DEG = 5.0  # a survey whose orientations are off by more is probably another frame's
+
+
+def add_arguments(part: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    add_source_and_out(part, "rig.yaml")
+    of = part.add_mutually_exclusive_group(required=True)
+    of.add_argument("--target", metavar="TARGET", help=TARGET)
+    of.add_argument("--truth", metavar="POINTS", type=Path, help=TRUTH)
 
 
 def run(options: argparse.Namespace) -> int:

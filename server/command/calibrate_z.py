@@ -23,13 +23,27 @@ from asterism.server.calibration.survey.survey import read_survey
 from asterism.server.calibration.survey.surveyed import Pairs, check_spread, check_survey, pair
 from asterism.server.calibration.survey.surveyed_fit import errors_of
 from asterism.server.chain.warm_up import warm_up
+from asterism.server.command.calibrate import TRUTH, add_source_and_out
 from asterism.server.command.progress import progress
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
 
+EXAMPLES = (
+    "asterism calibrate z rig.yaml frames/ --truth surveyed.jsonl -o rig2.yaml\n"
+    "asterism calibrate z rig.yaml frames/ --truth surveyed.jsonl --no-plane -o rig2.yaml\n"
+)
+
 FEWEST_POSES = 20
 DIGITS = 9  # of the z_correction's shares
 UNDETERMINED = 0.9  # of a prior's sigma: a parameter that the poses leave as open as it was
+
+
+def add_arguments(part: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    add_source_and_out(part, "rig.yaml")
+    part.add_argument("--truth", metavar="TRUTH", type=Path, required=True, help=TRUTH)
+    part.add_argument("--no-refit", action="store_true", help="leave camera and LED positions as they are")
+    part.add_argument("--no-plane", action="store_true", help="no super-plane")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -15,7 +15,14 @@ from asterism.server.design.rig_check import KINDS, SIGMA_PX, TYPICAL_DEG, RigCh
 from asterism.server.design.telling_apart import SIGMAS
 from asterism.server.service.say import say
 
+EXAMPLES = "asterism check rig.yaml\n"
+
 MOST_ROWS = 12  # robots that are listed
+
+
+def add_arguments(part: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    part.add_argument("rig", metavar="RIG", help="rig.yaml")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -2,12 +2,24 @@
 
 import argparse
 import math
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
 from asterism.recordings.compare import compare, percentile
 from asterism.recordings.reader import Recording
+from asterism.server.command.number_arguments import not_negative
+
+EXAMPLES = "asterism compare RECORDING_A RECORDING_B\nasterism compare A B --position 0.0001 --rotation 0.001\n"
+
+
+def add_arguments(part: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    part.add_argument("a", metavar="A", type=Path, help="a recording's folder")
+    part.add_argument("b", metavar="B", type=Path, help="another")
+    part.add_argument("--position", metavar="M", type=not_negative, default=1e-6, help="allowed, m (default: 1e-6)")
+    part.add_argument("--rotation", metavar="RAD", type=not_negative, default=1e-6, help="allowed, rad (default: 1e-6)")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -4,6 +4,7 @@ import argparse
 import threading
 import time
 from contextlib import ExitStack
+from pathlib import Path
 
 import zenoh
 from rich.console import Console
@@ -14,14 +15,29 @@ from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
 from asterism.protocol.rig import load_rig
 from asterism.recordings.recorder import Recorder
 from asterism.server.chain.warm_up import warm_up
+from asterism.server.command.number_arguments import positive
+from asterism.server.command.shared_arguments import add_server, add_smoothing
 from asterism.server.service.publish import Publisher
 from asterism.server.service.serve import Stop, serve, stop_on_signals
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.simulation.simulate import Look
 from asterism.server.sources.simulated import Simulated
 
+EXAMPLES = "asterism demo\nasterism demo --seconds 5 --record /tmp\n"
+
 # A well-shaded camera: its dark background packs well, so that the demonstration's recording stays small.
 LOOK = Look(background=4.0, read_noise=0.2)
+
+
+def add_arguments(part: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    part.add_argument("--seconds", metavar="N", type=positive, default=20.0, help="how long (default: 20)")
+    part.add_argument("--forever", action="store_true", help="until Ctrl-C")
+    part.add_argument(
+        "--record", metavar="DIR", type=Path, default=Path("recordings-demo"), help="default: recordings-demo"
+    )
+    add_smoothing(part)
+    add_server(part)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -10,12 +10,25 @@ from rich.table import Table
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import parse_rig
+from asterism.server.command.number_arguments import count, positive
 from asterism.server.design.drill_plan import drill_plan
 from asterism.server.design.page import pdf, svg
 from asterism.server.design.plate_design import FOCAL_PX, LED_RADIUS, RIM, Design, Request, design
 from asterism.server.design.plate_files import camera_text, rig_text
 from asterism.server.design.telling_apart import SIGMAS, TILT_DEG, image_px
 from asterism.server.service.say import say
+
+EXAMPLES = "asterism design --robots 8 --disc 0.1 --spacing 0.02 --distance 1.5 --sigma 0.05 -o plates\n"
+
+
+def add_arguments(part: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    part.add_argument("--robots", metavar="K", type=count, required=True, help="how many constellations")
+    part.add_argument("--disc", metavar="M", type=positive, required=True, help="diameter of the plates, m")
+    part.add_argument("--spacing", metavar="M", type=positive, required=True, help="between two LEDs at least, m")
+    part.add_argument("--distance", metavar="M", type=positive, required=True, help="from the camera at most, m")
+    part.add_argument("--sigma", metavar="PX", type=positive, required=True, help="of an LED's centre, px")
+    part.add_argument("-o", "--out", metavar="DIR", type=Path, required=True, help="a new folder")
 
 
 def run(options: argparse.Namespace) -> int:

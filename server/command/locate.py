@@ -16,10 +16,27 @@ from asterism.server.chain.pipeline import localize
 from asterism.server.chain.smooth import Motions, smooth
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.progress import progress
+from asterism.server.command.shared_arguments import FINITE_SOURCE, add_smoothing
 from asterism.server.pose.solve import PoseEstimate
 from asterism.server.pose.track import Tracks
 from asterism.server.service.say import say, say_warnings
 from asterism.server.sources.open_source import open_source, refuse_endless
+
+EXAMPLES = (
+    "asterism locate rig.yaml frames/ -o poses.jsonl\n"
+    "asterism locate rig.yaml 'frames/*.png' -o poses.jsonl --independent\n"
+)
+
+
+def add_arguments(part: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    part.add_argument("rig", metavar="RIG", help="rig.yaml")
+    part.add_argument("source", metavar="SOURCE", help=FINITE_SOURCE)
+    part.add_argument(
+        "-o", "--out", metavar="OUT", type=Path, required=True, help="where the lines go; - for the terminal"
+    )
+    part.add_argument("--independent", action="store_true", help="each frame alone, without what came before")
+    add_smoothing(part)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+from collections.abc import Callable
 
 
 def positive(text: str) -> float:
@@ -28,3 +29,31 @@ def count(text: str) -> int:
     if not text.isdigit() or int(text) == 0:
         raise argparse.ArgumentTypeError(f"{text!r}, expected a whole number above 0")
     return int(text)
+
+
+def not_negative(text: str) -> float:
+    """A number, 0 or more."""
+    value = number(text)
+    if not value >= 0:
+        raise argparse.ArgumentTypeError(f"{text}, expected a number, 0 or more")
+    return value
+
+
+def share(text: str) -> float:
+    """A number from 0 to 1."""
+    value = number(text)
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"{text}, expected a number from 0 to 1")
+    return value
+
+
+def positives(count: int) -> Callable[[str], tuple[float, ...]]:
+    """So many numbers above 0, with commas between them."""
+
+    def parse(text: str) -> tuple[float, ...]:
+        parts = text.split(",")
+        if len(parts) != count:
+            raise argparse.ArgumentTypeError(f"{text!r}, expected {count} numbers with commas between them")
+        return tuple(positive(part) for part in parts)
+
+    return parse

@@ -6,6 +6,14 @@ from asterism.protocol.errors import InputError, WorldError
 from asterism.recordings.index import begins_as_mcap, is_complete, rebuild_index
 from asterism.recordings.reader import recording_files
 from asterism.recordings.recorder import RESERVE
+from asterism.server.command.shared_arguments import add_recording
+
+EXAMPLES = "asterism recover RECORDING\n"
+
+
+def add_arguments(part: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    add_recording(part)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -12,12 +12,32 @@ from asterism.protocol.messages import FRAME_REPORT, Message
 from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
 from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.reader import Recording
+from asterism.server.command.number_arguments import positive
+from asterism.server.command.shared_arguments import add_recording, add_server
 from asterism.server.service.publish import Publisher, is_alive
 from asterism.server.service.say import say
 from asterism.server.service.serve import Stop, stop_on_signals
 
+EXAMPLES = (
+    "asterism replay RECORDING\n"
+    "asterism replay RECORDING --speed 0.5 --loop\n"
+    "asterism replay RECORDING --solve rig.yaml\n"
+)
+
 PREFIX = "replay/"
 LOCATED = (pb.TRACKED, pb.TILT_AMBIGUOUS)
+
+
+def add_arguments(part: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    add_recording(part)
+    part.add_argument("--speed", metavar="X", type=positive, default=1.0, help="times faster (default: 1)")
+    part.add_argument("--loop", action="store_true", help="again and again, until Ctrl-C")
+    part.add_argument("--solve", metavar="RIG", help="solve the recorded frames again, with this rig")
+    part.add_argument(
+        "--as-live", action="store_true", help="under the original keys; refused while that camera's server is alive"
+    )
+    add_server(part)
 
 
 def run(options: argparse.Namespace) -> int:

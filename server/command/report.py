@@ -19,11 +19,24 @@ from asterism.server.budget.workspace import Budget, budget_of
 from asterism.server.calibration.leds.observations import observe
 from asterism.server.calibration.survey.survey import match_frames, read_survey
 from asterism.server.chain.warm_up import warm_up
+from asterism.server.command.calibrate import TRUTH
 from asterism.server.command.progress import progress
+from asterism.server.command.shared_arguments import FINITE_SOURCE
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
 
+EXAMPLES = "asterism report rig.yaml -o report\nasterism report rig.yaml --truth truth.jsonl frames/ -o report\n"
+
 PAGE = "report.html"
+
+
+def add_arguments(part: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    part.add_argument("rig", metavar="RIG", help="rig.yaml")
+    part.add_argument(
+        "--truth", metavar=("TRUTH", "SOURCE"), nargs=2, help=f"measured beside predicted: {TRUTH}, and {FINITE_SOURCE}"
+    )
+    part.add_argument("-o", "--out", metavar="DIR", type=Path, required=True, help="where page and plots go")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -15,6 +15,15 @@ from asterism.protocol.messages import FRAME_REPORT, IMAGE
 from asterism.recordings.drawing import APPLICATION, Drawing, blueprint
 from asterism.recordings.reader import Recording
 from asterism.server.command.progress import progress
+from asterism.server.command.shared_arguments import add_recording
+
+EXAMPLES = "asterism review RECORDING\nasterism review RECORDING -o recording.rrd\n"
+
+
+def add_arguments(part: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    add_recording(part)
+    part.add_argument("-o", "--out", metavar="FILE.rrd", type=Path, help="write it instead of opening the viewer")
 
 
 def run(options: argparse.Namespace) -> int:

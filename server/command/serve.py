@@ -2,6 +2,7 @@
 
 import argparse
 from contextlib import ExitStack
+from pathlib import Path
 
 from asterism.protocol.codec import encode_rig
 from asterism.protocol.errors import InputError
@@ -9,10 +10,42 @@ from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
 from asterism.protocol.rig import load_rig
 from asterism.recordings.recorder import Recorder
 from asterism.server.chain.warm_up import warm_up
+from asterism.server.command.number_arguments import count, positive
+from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing
 from asterism.server.service.publish import Publisher
 from asterism.server.service.say import say, say_warnings
 from asterism.server.service.serve import Sink, Stop, serve, stop_on_signals
 from asterism.server.sources.open_source import open_source
+
+EXAMPLES = (
+    "asterism serve rig.yaml /dev/video0 --record recordings\n"
+    "asterism serve rig.yaml frames/ --rate 60\n"
+    "asterism serve rig.yaml sim --rerun\n"
+)
+
+
+def add_arguments(part: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    part.add_argument("rig", metavar="RIG", help="rig.yaml")
+    part.add_argument("source", metavar="SOURCE", help=SOURCE)
+    part.add_argument("--rate", metavar="HZ", type=positive, help="play images or a video at this rate")
+    part.add_argument("--record", metavar="DIR", type=Path, help="record into a new folder in DIR")
+    part.add_argument(
+        "--record-frames",
+        metavar="all|N|none",
+        type=_every,
+        default=1,
+        help="every frame, every Nth, none (default: all)",
+    )
+    part.add_argument("--rerun", action="store_true", help="show everything in the rerun viewer while it happens")
+    add_smoothing(part)
+    add_server(part)
+
+
+def _every(text: str) -> int:
+    if text in ("all", "none"):
+        return int(text == "all")
+    return count(text)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -11,10 +11,33 @@ import msgspec
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.rig import Rig, load_rig
 from asterism.protocol.yaml_file import parse_yaml
+from asterism.server.command.number_arguments import count, positive, share
 from asterism.server.command.progress import progress
 from asterism.server.simulation.hand_film import hand_pose
 from asterism.server.simulation.simulate import Look, Scene
 from asterism.server.sources.source import DEFAULT_RATE_HZ
+
+EXAMPLES = (
+    "asterism simulate rig.yaml out --frames 300\n"
+    "asterism simulate rig.yaml out --hide 0.05 --glints 10 --seed 3\n"
+    "asterism simulate rig.yaml film --hand alpha --frames 300\n"
+)
+
+
+def add_arguments(part: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    part.add_argument("rig", metavar="RIG", help="rig.yaml")
+    part.add_argument("out", metavar="OUT", type=Path, help="a new folder")
+    part.add_argument("--frames", metavar="N", type=count, default=60, help="how many (default: 60)")
+    part.add_argument("--rate", metavar="HZ", type=positive, help="default: the rig's capture.rate, or 60")
+    part.add_argument("--seed", metavar="N", type=int, default=0, help="default: 0")
+    part.add_argument(
+        "--hide", metavar="P", type=share, default=0.0, help="probability that an LED is hidden (default: 0)"
+    )
+    part.add_argument(
+        "--hand", metavar="ROBOT", help="this robot alone, shown by hand from all sides: a film to calibrate with"
+    )
+    part.add_argument("--glints", metavar="N", type=int, default=0, help="glints a frame (default: 0)")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -1,5 +1,6 @@
 """The command line: help, lightness, and one sentence with exit code 2 for every kind of bad input."""
 
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -8,12 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
-from asterism.server.__main__ import _parser, main
+from asterism.server.__main__ import main
+from asterism.server.command import calibrate, parser
 from asterism.server.simulation.demo_rig import DEMO_RIG
-from tests.helpers import REPOSITORY
 from tests.servers import asterism
 
-COMMANDS = ("demo", "serve", "locate", "watch", "replay", "review", "compare", "simulate", "recover")
+COMMANDS = [[name] for name in parser.COMMANDS if name != "calibrate"]
+ALL = [[], *COMMANDS, ["calibrate"], *(["calibrate", kind] for kind in calibrate.SUBCOMMANDS)]
 HEAVY = ("cv2", "scipy", "numba", "rerun", "mcap", "matplotlib")
 
 
@@ -25,44 +27,35 @@ def imported(statement: str) -> set[str]:
 
 
 def test_help_begins_with_lines_to_copy(capsys: pytest.CaptureFixture[str]) -> None:
-    for command in (None, *COMMANDS):
+    for words in ALL:
         with pytest.raises(SystemExit) as ended:
-            main([*([command] if command else []), "--help"])
+            main([*words, "--help"])
         assert ended.value.code == 0
         told = capsys.readouterr().out
-        assert told.startswith(f"asterism {command or 'demo'}")
+        assert told.startswith(" ".join(["asterism", *(words or ["demo"])]))
         assert "usage:" in told
 
 
 def test_the_lines_to_copy_are_understood() -> None:
-    parser = _parser()
-    lines = [line.split("  ")[0] for line in parser.format_help().splitlines() if line.startswith("asterism ")]
-    for command in COMMANDS:
-        part = parser._subparsers._group_actions[0].choices[command]  # type: ignore[union-attr,index]
-        lines += [line for line in part.format_help().split("usage:")[0].splitlines() if line]
-    assert len(lines) > 15
+    shown = [parser.EXAMPLES, *(parser.module_of(" ".join(words)).EXAMPLES for words in ALL if words)]
+    lines = [line.split("  ")[0] for text in shown for line in text.splitlines()]
+    assert len(lines) > 25
+    whole = parser.parser()
     for line in lines:
-        words = line.replace("'", "").split()
+        words = shlex.split(line)
         assert words[0] == "asterism"
-        parser.parse_args(words[1:])
+        whole.parse_args(words[1:])
+
+
+def test_only_the_commands_that_are_asked_for_are_described() -> None:
+    """Else a command would import what it does not need."""
+    with pytest.raises(SystemExit):
+        parser.parser(["watch"]).parse_args(["check", "rig.yaml"])
 
 
 def test_help_and_clients_are_light() -> None:
-    assert not imported("from asterism.server.__main__ import _parser; _parser().format_help()") & set(HEAVY)
+    assert not imported("from asterism.server.command.parser import parser; parser([]).format_help()") & set(HEAVY)
     assert not imported("import asterism.clients") & set(HEAVY)
-
-
-def test_protocol_and_clients_and_recordings_keep_to_themselves() -> None:
-    """protocol <- recordings, protocol <- clients: nobody imports the server, clients and recordings not each other."""
-    allowed = {"protocol": {"protocol"}, "clients": {"protocol", "clients"}, "recordings": {"protocol", "recordings"}}
-    import re
-
-    for folder, may in allowed.items():
-        for path in (REPOSITORY / folder).rglob("*.py"):
-            used = set(re.findall(r"(?:from|import) asterism\.(\w+)", path.read_text()))
-            assert used <= may, f"{path.name} imports {used - may}"
-    for path in (REPOSITORY / "server").rglob("*.py"):
-        assert "asterism.clients" not in path.read_text(), path.name
 
 
 @pytest.fixture

@@ -1,0 +1,77 @@
+"""The command line's grammar. Only the module of the command that is asked for is imported."""
+
+import argparse
+import importlib
+from types import ModuleType
+from typing import NoReturn
+
+from asterism import __version__
+
+COMMANDS = {
+    "demo": "simulated camera, five robots on a curved surface: serve, record, watch",
+    "serve": "localize the robots that a source shows, publish their poses",
+    "locate": "poses of a folder of images, a video or a recording, as JSON lines",
+    "watch": "live table of every robot, its age, its state",
+    "replay": "publish a recording again with its timing, every key behind replay/",
+    "review": "look at a recording in the rerun viewer",
+    "compare": "differences of two recordings, per robot and field",
+    "recover": "make a recording that was cut off readable again",
+    "simulate": "frames of simulated robots, with truth",
+    "calibrate": "camera, LED positions, world, LED offset, Z: find what is off and remove it",
+    "report": "the error budget of a rig and its workspace, with plots",
+    "design": "constellations that cannot be confused, with a drill plan",
+    "check": "how well a rig's robots can be told apart, and what can go wrong",
+}
+
+EXAMPLES = """\
+asterism demo                                     five simulated robots: localized, published, recorded, watched
+asterism serve rig.yaml /dev/video0               localize what a camera sees
+asterism locate rig.yaml frames/ -o poses.jsonl   poses of a folder of images
+asterism watch                                    live table of every robot
+asterism review RECORDING                         look at a recording in the rerun viewer
+"""
+
+
+class Parser(argparse.ArgumentParser):
+    """Help begins with lines to copy; a wrong argument gets one sentence."""
+
+    examples = ""
+
+    def format_help(self) -> str:
+        """The examples, then argparse's own help."""
+        return f"{self.examples}\n{super().format_help()}" if self.examples else super().format_help()
+
+    def error(self, message: str) -> NoReturn:
+        """One sentence and exit code 2."""
+        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+
+def module_of(command: str) -> ModuleType:
+    """The module of a command; of `calibrate world` it is `calibrate_world`."""
+    return importlib.import_module(f"asterism.server.command.{command.replace(' ', '_')}")
+
+
+def parser(words: list[str] | None = None) -> Parser:
+    """What reads the command line ``words``: the commands that they name have their arguments; without words, all."""
+    whole = Parser(prog="asterism", description="One camera, several robots with six LEDs each.")
+    whole.examples = EXAMPLES
+    whole.add_argument("--version", action="version", version=f"asterism {__version__}")
+    add_commands(whole, COMMANDS, "", words)
+    return whole
+
+
+def add_commands(
+    whole: argparse.ArgumentParser, commands: dict[str, str], before: str, words: list[str] | None
+) -> None:
+    """Add the parts of ``whole``, by name with what they do; ``before`` is the command that they are parts of."""
+    dest = "kind" if before else "command"
+    parts = whole.add_subparsers(dest=dest, metavar=dest.upper(), required=True, parser_class=Parser)
+    for name, summary in commands.items():
+        part = parts.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
+        if words is None or name in words:
+            module = module_of(f"{before} {name}".strip())
+            part.examples = module.EXAMPLES
+            if hasattr(module, "SUBCOMMANDS"):
+                add_commands(part, module.SUBCOMMANDS, name, words)
+            else:
+                module.add_arguments(part)
