@@ -20,7 +20,7 @@ from docs.programs.tree import rooms
 from asterism.protocol.rig import parse_rig
 from asterism.protocol.yaml_file import parse_yaml
 from asterism.server.budget.uncertainty import KEYS, read_uncertainty
-from asterism.server.command.parser import parser
+from asterism.server.command.parser import COMMANDS, parser
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.documents import Block, blocks, pages
 from tests.helpers import REPOSITORY
@@ -55,20 +55,9 @@ def lines(chosen: list[Block]) -> list[tuple[str, list[str]]]:
     return [(block.page, words) for block in chosen for words in block.commands]
 
 
-def test_they_show_the_commands() -> None:
-    shown = {words[1] for _, words in lines(SHELL) if words[0] == "asterism"}
-    assert shown >= {
-        "serve",
-        "watch",
-        "locate",
-        "review",
-        "replay",
-        "simulate",
-        "calibrate",
-        "report",
-        "design",
-        "check",
-    }
+def test_they_show_every_command() -> None:
+    shown = {words[1] for _, words in lines(blocks("sh")) if words[0] == "asterism"}
+    assert shown >= COMMANDS.keys() - {"demo"}  # that is `make demo`
 
 
 @pytest.mark.parametrize(("page", "words"), lines(SHELL), ids=" ".join)
@@ -106,6 +95,22 @@ def test_installed_packages_are_ours() -> None:
     for page in pages():
         for package in re.findall(r"pip install (?:-\S+ )*'?([^\s'`]+)", page.read_text()):
             assert re.fullmatch(r"asterism-localization(\[\w+\])?|\.(\[\w+\])?", package), f"{page.name}: {package}"
+
+
+def test_every_measuring_program_is_listed() -> None:
+    page = (REPOSITORY / "docs" / "work.md").read_text()
+    for path in (REPOSITORY / "tests" / "measure").glob("*.py"):
+        if '__name__ == "__main__"' in path.read_text():
+            assert f"`python -m tests.measure.{path.stem}`" in page, f"docs/work.md lists no tests.measure.{path.stem}"
+
+
+@pytest.mark.parametrize("block", [block for block in SHELL if "asterism example" in block.text])
+def test_the_examples_commands_are_those_of_its_folder(block: Block, tmp_path: Path) -> None:
+    (first, *_), (_, name), *rest = block.commands
+    assert asterism("example", tmp_path / name).returncode == 0, first
+    readme = (tmp_path / name / "README.md").read_text()
+    for words in rest:
+        assert " ".join(words) in readme
 
 
 def test_programs_files_and_links_are_there() -> None:

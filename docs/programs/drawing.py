@@ -26,8 +26,7 @@ def draw_rooms(rooms: Sequence[Room]) -> str:
     """Rooms from top to bottom; an arrow for every use that does not follow from others."""
     parts, tops, bottoms, y = [], {}, {}, GAP
     for index, room in enumerate(rooms):
-        title = f"{room.name} · {room.modules} module{'s' * (room.modules != 1)}"
-        box, height = _box(y, index, title, room.sentence)
+        box, height = _box(y, index, room.name, room.sentence)
         parts.append(box)
         tops[room.name], bottoms[room.name] = y, y + height
         y += height + GAP

@@ -17,7 +17,6 @@ class Room:
 
     name: str
     sentence: str
-    modules: int
     uses: frozenset[str]  # names of rooms
 
 
@@ -82,15 +81,13 @@ def imported(path: Path) -> Iterator[str]:
 def rooms() -> list[Room]:
     """All rooms, each before those it uses."""
     uses: dict[str, set[str]] = {}
-    counts: dict[str, int] = {}
     for name, path in modules().items():
         room = room_of(name)
         if room is None:
             continue
-        counts[room] = counts.get(room, 0) + (path.name != "__init__.py")
         others = uses.setdefault(room, set())
         others.update(other for module in imported(path) if (other := room_of(module)) not in (None, room))
-    return [Room(name, _sentence(name), counts[name], frozenset(uses[name])) for name in _in_order(uses)]
+    return [Room(name, _sentence(name), frozenset(uses[name])) for name in _in_order(uses)]
 
 
 def _sentence(room: str) -> str:
