@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format bench proto clean
+.PHONY: help demo test check format bench docs proto clean
 
 help: ## list the words
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile
@@ -35,10 +35,14 @@ bench: .venv/installed ## speed and accuracy beside other programs, centres besi
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python -m tests.measure.bench bench-out
 
+docs: .venv/installed ## the documentation as a website, in site/
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@echo "open site/index.html"
+
 proto: .venv/installed ## compile protocol/asterism.proto
 	@# In an environment of its own: this compiler's code runs with every protobuf from 5.29 on, itself it wants an old one.
 	$(PYTHON) -m venv build/protoc && build/protoc/bin/python -m pip install --quiet grpcio-tools==1.71.2
 	build/protoc/bin/python -m grpc_tools.protoc --proto_path=protocol --python_out=protocol --pyi_out=protocol asterism.proto
 
 clean: ## remove the virtual environment and caches
-	rm -rf .venv build *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf .venv build site *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from tests.helpers import SHARED
 from tests.measure import accuracy, centres, speed
 
 PACKAGES = ("numpy", "numba", "opencv-python-headless", "pupil-apriltags")
@@ -35,11 +34,8 @@ def main(out: Path) -> None:
     plots = speed.main(out, console)
     console.rule("Centres of spots: RMS error of a coordinate, px, over the Cramer-Rao bound")
     plots += centres.main(out / "centres.png", console)
-    console.rule("Poses and identities on the sample frames")
-    if folders := accuracy.samples():
-        accuracy.main(folders, console)
-    else:
-        console.print(f"left out: {SHARED / 'samples'} is not there")
+    console.rule("Poses and identities")
+    accuracy.main(accuracy.samples(), console)
     console.rule(f"Plots, after {time.monotonic() - start:.0f} s")
     for path in plots:
         console.print(str(path), soft_wrap=True, highlight=False)

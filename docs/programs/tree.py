@@ -1,0 +1,167 @@
+"""What the source tree says about itself: its rooms, who uses whom, and a frame's way. Read with `ast` alone."""
+
+import ast
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+REPOSITORY = Path(__file__).parent.parent.parent
+TOP = ("clients", "recordings", "protocol")  # rooms beside those of the server
+
+
+@dataclass(frozen=True)
+class Room:
+    """A folder (or, at the bottom of the server, a file) with its one sentence."""
+
+    name: str
+    sentence: str
+    uses: frozenset[str]  # names of rooms
+
+
+@dataclass(frozen=True)
+class Door:
+    """A step of a frame's way: a function of another room, or a method of something that was handed in."""
+
+    room: str
+    name: str
+    sentence: str
+
+
+@cache
+def parsed(path: Path) -> ast.Module:
+    """A module's syntax tree."""
+    return ast.parse(path.read_text())
+
+
+def sentence_of(node: ast.Module | ast.FunctionDef | ast.ClassDef) -> str:
+    """The first sentence of a docstring, on one line; empty without one."""
+    text = " ".join((ast.get_docstring(node) or "").split("\n\n")[0].split())
+    return re.split(r"[.;] ", text, maxsplit=1)[0].rstrip(".").replace("`", "")
+
+
+def room_of(module: str) -> str | None:
+    """The room of `asterism.<...>`; the command line's own module belongs to `command`, the package itself to none."""
+    parts = module.split(".")[1:]
+    if parts[:1] != ["server"]:
+        return parts[0] if parts and parts[0] in TOP else None
+    if len(parts) == 1:
+        return None
+    return "command" if parts[1] == "__main__" else parts[1]
+
+
+def file_of(module: str) -> Path:
+    """The file of `asterism.<...>`."""
+    path = REPOSITORY.joinpath(*module.split(".")[1:])
+    return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+
+
+def modules() -> dict[str, Path]:
+    """Every module of the rooms by its dotted name."""
+    found = {}
+    for top in ("server", *TOP):
+        for path in sorted((REPOSITORY / top).rglob("*.py")):
+            parts = path.relative_to(REPOSITORY).with_suffix("").parts
+            found[".".join(("asterism", *(part for part in parts if part != "__init__")))] = path
+    return found
+
+
+def imported(path: Path) -> Iterator[str]:
+    """The modules of asterism that a file imports, wherever in it."""
+    for node in ast.walk(parsed(path)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("asterism."):
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                yield inner if file_of(inner).exists() else str(node.module)
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name.startswith("asterism."))
+
+
+def rooms() -> list[Room]:
+    """All rooms, each before those it uses."""
+    uses: dict[str, set[str]] = {}
+    for name, path in modules().items():
+        room = room_of(name)
+        if room is None:
+            continue
+        others = uses.setdefault(room, set())
+        others.update(other for module in imported(path) if (other := room_of(module)) not in (None, room))
+    return [Room(name, _sentence(name), frozenset(uses[name])) for name in _in_order(uses)]
+
+
+def _sentence(room: str) -> str:
+    return sentence_of(parsed(file_of(f"asterism.{room}" if room in TOP else f"asterism.server.{room}")))
+
+
+def _in_order(uses: dict[str, set[str]]) -> list[str]:
+    """Users before used: by the length of the longest chain of uses below a room, then by name."""
+
+    @cache
+    def height(room: str) -> int:
+        return 1 + max((height(other) for other in uses[room]), default=-1)
+
+    return sorted(uses, key=lambda room: (-height(room), room))
+
+
+def way(module: str, function: str) -> list[Door]:
+    """The doors that a call of that function passes, in the order of the source; compiled code is not looked into."""
+    doors: list[Door] = []
+    _walk(module, function, room_of(module), set(), doors)
+    return doors
+
+
+def _walk(module: str, name: str, caller: str | None, seen: set[tuple[str, str]], doors: list[Door]) -> None:
+    node, room = _definition(module, name), room_of(module)
+    if not isinstance(node, ast.FunctionDef) or (module, name) in seen or room in (None, "protocol"):
+        return
+    seen.add((module, name))
+    if room != caller or "." in name:
+        doors.append(Door(str(room), name, sentence_of(node)))
+    if not any(isinstance(word, ast.Name) and word.id == "compiled" for word in node.decorator_list):
+        for target_module, target in _calls(module, node):
+            _walk(target_module, target, room, seen, doors)
+
+
+def _definition(module: str, name: str) -> ast.FunctionDef | ast.ClassDef | None:
+    body: list[ast.stmt] = parsed(file_of(module)).body
+    node: ast.stmt | None = None
+    for part in name.split("."):
+        node = next((n for n in body if isinstance(n, ast.FunctionDef | ast.ClassDef) and n.name == part), None)
+        if not isinstance(node, ast.FunctionDef | ast.ClassDef):
+            return None
+        body = node.body
+    return node
+
+
+def _calls(module: str, function: ast.FunctionDef) -> Iterator[tuple[str, str]]:
+    """(module, name) of every function of asterism that is called by name, or as a method of a parameter."""
+    names = {
+        alias.asname or alias.name: (str(node.module), alias.name)
+        for node in ast.walk(parsed(file_of(module)))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("asterism.")
+        for alias in node.names
+    }
+    kinds = {
+        argument.arg: word.id
+        for argument in function.args.args
+        if argument.annotation is not None
+        for word in ast.walk(argument.annotation)
+        if isinstance(word, ast.Name)
+    }
+    for call in _in_source_order(function):
+        match call.func:
+            case ast.Name(id=name):
+                yield names.get(name, (module, name))
+            case ast.Attribute(value=ast.Name(id=name), attr=method) if kinds.get(name) in names:
+                owner, kind = names[kinds[name]]
+                yield owner, f"{kind}.{method}"
+
+
+def _in_source_order(node: ast.AST) -> Iterator[ast.Call]:
+    """Calls as they happen: arguments before the call, nested functions not at all."""
+    for child in ast.iter_child_nodes(node):
+        if not isinstance(child, ast.FunctionDef):
+            yield from _in_source_order(child)
+    if isinstance(node, ast.Call):
+        yield node

@@ -1,0 +1,45 @@
+"""The pages that people read, and what is to be checked in them: blocks, commands, links, marks of what is pending."""
+
+import re
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.helpers import REPOSITORY
+
+FENCE = re.compile(r"^(?:<!-- pending: (?P<pending>[^>]*?) -->\n)?```(?P<language>\w+)\n(?P<text>.*?)^```", re.M | re.S)
+
+
+def pages() -> list[Path]:
+    """README, the pages of docs/, the wire format, the changelog."""
+    return [
+        REPOSITORY / "README.md",
+        *sorted((REPOSITORY / "docs").glob("*.md")),
+        REPOSITORY / "protocol" / "README.md",
+        REPOSITORY / "CHANGELOG.md",
+    ]
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page; ``pending`` names what it waits for: commands that are still being written."""
+
+    page: str
+    language: str
+    text: str
+    pending: str = ""
+
+    @property
+    def commands(self) -> list[list[str]]:
+        """Its lines as words, without comments and empty lines."""
+        return [words for line in self.text.splitlines() if (words := shlex.split(line, comments=True))]
+
+
+def blocks(language: str) -> list[Block]:
+    """All blocks in a language, the pending ones too."""
+    return [
+        Block(str(page.relative_to(REPOSITORY)), language, found["text"], found["pending"] or "")
+        for page in pages()
+        for found in FENCE.finditer(page.read_text())
+        if found["language"] == language
+    ]
