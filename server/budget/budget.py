@@ -20,7 +20,7 @@ from asterism.protocol.rig import Rig, Robot
 from asterism.server.budget.uncertainty import ESTIMATOR_NOISE, Uncertainty
 from asterism.server.centres.centre_noise import centre_covariances
 from asterism.server.pose.lens import lens_of, undistort
-from asterism.server.pose.solve import LEAST_SIGMA_PX
+from asterism.server.pose.matched import LEAST_SIGMA_PX
 from asterism.server.simulation.simulate import DEFAULT_LED_RADIUS, Look
 
 SOURCES = (

@@ -19,7 +19,7 @@ from asterism.server.calibration.leds.observations import LedCentres, observe
 from asterism.server.calibration.leds.tolerant import TolerantSearch
 from asterism.server.chain.frame import Frame
 from asterism.server.pose.lens import lens_of, undistort
-from asterism.server.pose.solve import LEAST_SIGMA_PX
+from asterism.server.pose.matched import LEAST_SIGMA_PX
 
 FEWEST_VIEWS = 12  # with all six LEDs
 LEARNED_FROM = 150  # views of the first round

@@ -13,8 +13,9 @@ from asterism.protocol.messages import Fate
 from asterism.protocol.rig import ESTIMATORS
 from asterism.server.calibration.lens.layout_match import match_layout
 from asterism.server.calibration.lens.targets import Target
-from asterism.server.centres.blobs import Scratch, find_blobs
+from asterism.server.centres.blobs import find_blobs
 from asterism.server.identity.plan import LARGEST_SPOT
+from asterism.server.segmentation.segment import Scratch
 
 DICTIONARIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL")
 LEAST_SHARE = 0.25  # of a charuco board's corners
@@ -186,7 +187,7 @@ def _leds(image: NDArray[np.uint8], target: Target) -> Seen | None:
     height, width = image.shape
     blobs = find_blobs(
         np.ascontiguousarray(image), LARGEST_SPOT * float(np.hypot(width, height)), np.zeros((0, 4), np.int64),
-        ESTIMATORS[0], Scratch(height, width),
+        ESTIMATORS[0], Scratch.of(height, width),
     )  # fmt: skip
     spots = blobs.centres_px[blobs.fates == Fate.UNEXPLAINED]
     chosen = match_layout(spots, target.points[:, :2])
