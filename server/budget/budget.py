@@ -100,6 +100,8 @@ def image_factors(
     positions = np.zeros((n, LEDS, 2, LEDS, 3))
     for led in range(LEDS):
         positions[:, led, :, led] = by_led[:, led]
+    leds = uncertainty.leds_of(robot.id)
+    larger = by_led @ (robot.leds - robot.leds.mean(axis=0))[:, :, None]
     steps = [replace(camera, distortion=camera.distortion * (1.0 + sign * STEP)).project(points) for sign in (1, -1)]
     bent = (steps[0] - steps[1]) / (2.0 * STEP)
     shift = offset_shifts(robot, poses, uncertainty.offset_m)
@@ -111,7 +113,13 @@ def image_factors(
         "centre noise": _blocks(noise),
         "quantisation": _blocks(rounding),
         "centre bias": np.concatenate(bias, axis=-1),
-        "LED positions": uncertainty.led_position_m * positions.reshape(n, 2 * LEDS, 3 * LEDS),
+        "LED positions": np.concatenate(
+            [
+                leds.position_m * positions.reshape(n, 2 * LEDS, 3 * LEDS),
+                leds.size_relative * larger.reshape(n, 2 * LEDS, 1),
+            ],
+            axis=-1,
+        ),
         "LED angular offset": np.einsum("nlij,nlj->nli", by_point, shift).reshape(n, 2 * LEDS, 1),
         "focal length": uncertainty.focal_relative * (pixels - camera.matrix[:2, 2]).reshape(n, 2 * LEDS, 1),
         "principal point": uncertainty.principal_point_px * point,

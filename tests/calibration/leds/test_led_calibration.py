@@ -9,7 +9,7 @@ import pytest
 
 from asterism.protocol.rig import Rig, load_rig
 from asterism.server.__main__ import main
-from asterism.server.calibration.leds.bundle import rigid_fit
+from asterism.server.calibration.leds.gauge import rigid_fit
 from asterism.server.calibration.leds.tolerant import TolerantSearch
 from asterism.server.chain.frame import Frame
 from asterism.server.simulation.simulate import Look, Scene, Truth
