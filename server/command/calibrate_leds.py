@@ -52,6 +52,20 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
         required=True,
         help="measured between two of its LEDs, counted from 0",
     )
+    part.add_argument(
+        "--frame",
+        metavar="I,J",
+        type=_two_leds,
+        help="LEDs that hold the robot's frame: I stays where the rig has it, J in its direction (default: best fit to "
+        "all)",
+    )
+
+
+def _two_leds(text: str) -> tuple[int, int]:
+    leds = text.split(",")
+    if len(leds) != 2 or not all(led.isdigit() and int(led) < LEDS for led in leds) or leds[0] == leds[1]:
+        raise argparse.ArgumentTypeError(f"{text!r}, expected I,J: two LEDs from 0 to {LEDS - 1}")
+    return int(leds[0]), int(leds[1])
 
 
 def _distance(text: str) -> tuple[int, int, float]:
