@@ -87,11 +87,6 @@ def assumptions(uncertainty: Uncertainty, light: Light, rig: Rig) -> list[tuple[
     """For every source its name, what is taken for one standard deviation, and whether that is given or assumed."""
     look, u = light.look, uncertainty
 
-    def origin(key: str) -> str:
-        if key in u.calibrated:
-            return "from the calibration"
-        return "given" if key in u.given else "assumed"
-
     light_text = (
         f"Cramer-Rao bound at the LED's size in the image times {np.sqrt(light.factor):.2f} "
         f"({look.brightness:g} grey levels, blur {look.psf_px:g} px, read noise {look.read_noise:g}, "
@@ -99,7 +94,7 @@ def assumptions(uncertainty: Uncertainty, light: Light, rig: Rig) -> list[tuple[
         f"{'' if all(r.led_radius for r in rig.robots) else '; LED radius 2.5 mm where the rig does not say'})"
     )
     centre = f"{u.centre_px:g} px per axis" if u.centre_px is not None else light_text
-    noise_origin = "from the frames" if light.measured and u.centre_px is None else origin("centre_px")
+    noise_origin = "from the frames" if light.measured and u.centre_px is None else u.origin("centre_px")
     bent = "" if np.any(rig.camera.distortion) else "; this lens has none"
     eccentric = all(robot.led_radius for robot in rig.robots)
     return [
@@ -113,13 +108,13 @@ def assumptions(uncertainty: Uncertainty, light: Light, rig: Rig) -> list[tuple[
             "centre bias",
             f"{u.bias_px:g} px per axis"
             + ("" if eccentric else "; perspective eccentricity, not compensated without led.radius"),
-            origin("bias_px"),
+            u.origin("bias_px"),
         ),
-        ("LED positions", f"{u.led_position_m * 1e3:g} mm per axis", origin("led_position_m")),
-        ("LED angular offset", f"{u.offset_m * 1e3:g} mm at 45 degrees, all LEDs alike", origin("offset_m")),
-        ("focal length", f"{u.focal_relative:.3%}", origin("focal_relative")),
-        ("principal point", f"{u.principal_point_px:g} px per axis", origin("principal_point_px")),
-        ("distortion", f"{u.distortion_relative:.2%} of its displacements{bent}", origin("distortion_relative")),
+        ("LED positions", *_leds(u, rig)),
+        ("LED angular offset", f"{u.offset_m * 1e3:g} mm at 45 degrees, all LEDs alike", u.origin("offset_m")),
+        ("focal length", f"{u.focal_relative:.3%}", u.origin("focal_relative")),
+        ("principal point", f"{u.principal_point_px:g} px per axis", u.origin("principal_point_px")),
+        ("distortion", f"{u.distortion_relative:.2%} of its displacements{bent}", u.origin("distortion_relative")),
     ]
 
 
@@ -129,10 +124,23 @@ def _robots(all_of_them: int, looked_at: int, names: str) -> str:
     return f"{all_of_them} robots, {looked_at} of them looked at ({escape(names)})"
 
 
+def _leds(uncertainty: Uncertainty, rig: Rig) -> tuple[str, str]:
+    """What is taken for the LEDs' positions, and where that is from; robot by robot where they differ."""
+    known = {robot.id: uncertainty.leds_of(robot.id) for robot in rig.robots}
+    what, by = [], []
+    for each in dict.fromkeys(known.values()):
+        names = ", ".join(name for name, error in known.items() if error == each)
+        size = f", {each.size_relative:.2%} of their size" if each.size_relative else ""
+        which = f" ({names})" if len(set(known.values())) > 1 else ""
+        what.append(f"{each.position_m * 1e3:.3g} mm per axis{size}{which}")
+        by.append(f"{each.by}{which}")
+    return "; ".join(what), "; ".join(by)
+
+
 def _sources(uncertainty: Uncertainty, light: Light, rig: Rig) -> str:
     rows = [
         f'<tr><td>{escape(name)}</td><td class="text">{escape(what)}</td>'
-        f'<td class="text {"assumed" if origin == "assumed" else "given"}">{escape(origin)}</td></tr>'
+        f'<td class="text {"assumed" if "assumed" in origin else "given"}">{escape(origin)}</td></tr>'
         for name, what, origin in assumptions(uncertainty, light, rig)
     ]
     head = '<tr><th>source</th><th class="text">one standard deviation</th><th class="text">origin</th></tr>'

@@ -52,6 +52,21 @@ def write_result_file(path: Path, text: str, force: bool) -> Path | None:
     return kept
 
 
+def set_aside(path: Path) -> Path | None:
+    """Give the file at ``path``, if there is one, the name under which an old one is kept; returns that.
+
+    Raises WorldError if the disk does not take it.
+    """
+    if not path.exists():
+        return None
+    kept = _free_name(path)
+    try:
+        path.rename(kept)
+    except OSError as error:
+        raise WorldError(f"{path}: cannot be renamed ({error.strerror})") from None
+    return kept
+
+
 def _free_name(path: Path) -> Path:
     number = 1
     while (kept := path.with_name(f"{path.name}.old-{number}")).exists():

@@ -8,7 +8,6 @@ from rich.console import Console
 from rich.table import Table
 
 from asterism.protocol.led_offset import parse_offset
-from asterism.protocol.program import typed
 from asterism.protocol.rig import load_rig
 from asterism.server.calibration.leds.observations import observe
 from asterism.server.calibration.result_file import check_result_file, write_result_file
@@ -67,16 +66,24 @@ def run(options: argparse.Namespace) -> int:
     found = calibrate_offset(rig, paired.pairs, options.source, options.dome, options.window)
     for remark in paired.remarks:
         say(remark)
+    _tell(found)
+    before, after = (1e3 * np.sqrt(np.nanmean(away[found.fit.used] ** 2)) for away, _ in (found.before, found.after))
+    print(
+        f"poses that it was not fitted to {'gain' if found.helps else 'do not gain'}: {before:.3f} mm off an axis by "
+        f"the rig as it is, {after:.3f} mm with the offset"
+    )
+    if not found.helps:
+        # An answer, not a failure: what comes next can go on with the rig as it is.
+        print(f"not written: {options.out}" + (" stays as it was" if options.out.exists() else "") + "; keep the rig")
+        return 0
     robots = sorted({sighting.robot for sighting, _ in paired.pairs})
     text = _text(found, options, robots)
     parse_offset(text, str(options.out))
     if rig.z_correction is not None:
         say(
-            f"warning: the z_correction of {options.rig} was fitted without this offset; run "
-            f"{typed('calibrate', 'z')} again"
+            f"warning: the z_correction of {options.rig} was fitted without this offset; run asterism calibrate z again"
         )
     kept = write_result_file(options.out, text, options.force)
-    _tell(found)
     print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else ""))
     print(f"to use it: led: {{offset: {options.out.name}}} for {', '.join(robots)} in the rig.yaml (path from there)")
     return 0

@@ -8,13 +8,17 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from asterism.protocol.camera import parse_camera
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, angle_between
 from asterism.protocol.rig import Rig, Robot, load_rig, parse_rig
 from asterism.protocol.yaml_file import parse_yaml
 from asterism.protocol.z_correction import ZCorrection
+from asterism.server.budget.uncertainty import LedError
+from asterism.server.budget.uncertainty_file import check_uncertainty_file, write_uncertainty_file
 from asterism.server.calibration.leds.labelled import solve_sightings
 from asterism.server.calibration.leds.observations import observe
+from asterism.server.calibration.lens.camera_file import refit_report_text, report_path
 from asterism.server.calibration.result_file import check_result_file, write_result_file
 from asterism.server.calibration.rewrite import Value, number, relocate, rewrite, without
 from asterism.server.calibration.survey.refit import Refit, refit
@@ -54,6 +58,8 @@ def run(options: argparse.Namespace) -> int:
     check_result_file(options.out, options.force)
     if not options.no_refit:
         check_result_file(camera_out, options.force)
+        check_result_file(report_path(camera_out), options.force)
+    check_uncertainty_file(options.out, options.force)
     refuse_endless(options.source, "calibrate z")
     given = load_rig(options.rig)
     rig = replace(given, z_correction=None)
@@ -82,12 +88,21 @@ def run(options: argparse.Namespace) -> int:
     camera_text = _camera_text(rig, new) if kept else rig.camera_text
     parse_rig(text, camera_text, str(options.out), rig.offset_texts)
     text = relocate(text, Path(options.rig), options.out)
-    olds = []
+    olds, beside = [], []
     if kept:
         text = rewrite(text, {("camera",): camera_out.name}, str(options.out))
-        olds.append(write_result_file(camera_out, camera_text, options.force))
+        beside = [camera_out, report_path(camera_out)]
+        written = parse_camera(camera_text, str(camera_out))
+        report = refit_report_text(written, found.lens_covariance, f"{options.source}, {options.truth}", len(used))
+        olds += [
+            write_result_file(path, each, options.force)
+            for path, each in zip(beside, (camera_text, report), strict=True)
+        ]
     olds.append(write_result_file(options.out, text, options.force))
-    print(f"written: {options.out}" + (f" and {camera_out}" if kept else ""))
+    print(f"written: {', '.join(str(path) for path in (options.out, *beside))}")
+    known = {robot: LedError(sigma, 0.0, "calibrate z") for robot, sigma in found.led_sigmas.items()} if kept else {}
+    for line in write_uncertainty_file(Path(options.rig), options.out, known, options.force, new_lens=kept):
+        print(line)
     if any(olds):
         print(f"kept beside: {', '.join(str(old) for old in olds if old)}")
     return 0

@@ -11,10 +11,10 @@ from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.rig import Rig, load_rig
 from asterism.protocol.yaml_file import parse_yaml
 from asterism.server.budget.budget import SOURCES, Light
-from asterism.server.budget.page import page
+from asterism.server.budget.page import assumptions, page
 from asterism.server.budget.plots import plots_of
 from asterism.server.budget.truth import Bin, Compared, bins_of, compare, light_of
-from asterism.server.budget.uncertainty import Uncertainty, read_uncertainty
+from asterism.server.budget.uncertainty import FILE, Uncertainty, own_path, read_uncertainty
 from asterism.server.budget.workspace import Budget, budget_of
 from asterism.server.calibration.leds.observations import observe
 from asterism.server.calibration.survey.survey import match_frames, read_survey
@@ -66,6 +66,7 @@ def run(options: argparse.Namespace) -> int:
     console = Console()
     if not console.is_terminal:
         console = Console(width=130)
+    console.print(_known(rig, options.rig, uncertainty, light))
     console.print(_table(budget))
     if measured:
         _tell(console, measured[0], measured[1])
@@ -87,6 +88,25 @@ def _compare(rig: Rig, truth: Path, source_name: str, uncertainty: Uncertainty, 
         say(remark)
     light = light_of(rig, light, [sighting for _, sightings in seen for sighting in sightings])
     return compare(rig, seen, matched.frames, uncertainty, light), light
+
+
+def _known(rig: Rig, rig_name: str, uncertainty: Uncertainty, light: Light) -> Table:
+    """What is taken for one standard deviation of every source, and who says so: nobody, a person, a calibration."""
+    own, shared = own_path(Path(rig_name)), Path(rig_name).parent / FILE
+    unread = uncertainty.file == own and shared.exists()
+    where = f"by {uncertainty.file}" if uncertainty.file else f"neither {own.name} nor {FILE} is beside the rig"
+    table = Table(
+        title=f"what is not known exactly ({where}{f', {FILE} is not read' if unread else ''})",
+        box=None,
+        header_style="bold",
+        padding=(0, 1),
+    )
+    table.add_column("source", no_wrap=True)
+    table.add_column("one standard deviation")
+    table.add_column("who says so")
+    for name, what, origin in assumptions(uncertainty, light, rig):
+        table.add_row(name, what, origin, style="yellow" if "assumed" in origin else "")
+    return table
 
 
 def _table(budget: Budget) -> Table:

@@ -29,7 +29,7 @@ from asterism.server.budget.budget import (
     pose_by_image,
     poses_at,
 )
-from asterism.server.budget.uncertainty import KEYS, Uncertainty, read_uncertainty
+from asterism.server.budget.uncertainty import KEYS, LedError, Uncertainty, read_uncertainty
 from asterism.server.budget.workspace import budget_of
 from asterism.server.centres.centre_noise import ROUNDING, centre_covariances, centre_variances
 from asterism.server.simulation.demo_rig import DEMO_RIG
@@ -66,8 +66,16 @@ def one_led(k: int) -> Floats:
     return leds.reshape(6, 3)
 
 
+def _leds(k: int) -> Floats:
+    """Each coordinate alone, and all together larger."""
+    leds = make_rig(1).robots[0].leds
+    return 1e-6 * one_led(k) if k < 18 else 1e-5 * (leds - leds.mean(axis=0))
+
+
 # A small amount of each source: by name, its error for cause k, the uncertainty of that size, and how many causes.
+SIZE = {"r00": LedError(1e-6, 1e-5, "a test")}
 SMALL: list[tuple[str, Callable[[int], Errors], Uncertainty, int]] = [
+    ("LED positions", lambda k: Errors(leds=_leds(k)), replace(NOTHING, robots=SIZE), 19),
     ("LED positions", lambda k: Errors(leds=1e-6 * one_led(k)), replace(NOTHING, led_position_m=1e-6), 18),
     ("LED angular offset", lambda _: Errors(offset_m=1e-6), replace(NOTHING, offset_m=1e-6), 1),
     ("focal length", lambda _: Errors(focal=1e-5), replace(NOTHING, focal_relative=1e-5), 1),
@@ -76,7 +84,7 @@ SMALL: list[tuple[str, Callable[[int], Errors], Uncertainty, int]] = [
 ]
 
 
-@pytest.mark.parametrize(("name", "errors", "uncertainty", "causes"), SMALL, ids=[row[0] for row in SMALL])
+@pytest.mark.parametrize(("name", "errors", "uncertainty", "causes"), SMALL, ids=[f"{r[0]} {r[3]}" for r in SMALL])
 def test_every_source_alone_moves_the_pose_as_the_solver_says(
     name: str, errors: Callable[[int], Errors], uncertainty: Uncertainty, causes: int
 ) -> None:
@@ -375,12 +383,14 @@ def test_a_calibrations_report_says_how_sure_the_lens_is(tmp_path: Path) -> None
     camera = tmp_path / "mine.yaml"
     camera.write_text((DEMO_RIG.parent / "camera.yaml").read_text())
     assert read_uncertainty(tmp_path / "rig.yaml", "edge-model", camera) == Uncertainty(bias_px=0.001)
-    (tmp_path / "mine.report.yaml").write_text("sigmas: {fx: 0.7, fy: 0.7, cx: 0.2, cy: 0.4}\n")
+    (tmp_path / "mine.report.yaml").write_text(
+        "sigmas: {fx: 0.7, fy: 0.7, cx: 0.2, cy: 0.4, k1: 0.01, k2: 0.01, p1: 0.001, p2: 0.001, k3: 0.01}\n"
+    )
     (tmp_path / "uncertainty.yaml").write_text("principal_point_px: 0.1\n")
     told = read_uncertainty(tmp_path / "rig.yaml", "edge-model", camera)
     assert told.focal_relative == pytest.approx(0.7 / 1400.0)
     assert told.principal_point_px == 0.1
-    assert (told.calibrated, told.given) == ({"focal_relative"}, {"principal_point_px"})
+    assert (told.measured, told.given) == ({"focal_relative": "calibrate camera"}, {"principal_point_px"})
 
 
 def test_a_folder_that_holds_something_is_refused_before_any_work(
