@@ -1,6 +1,7 @@
 """asterism example: a folder to try everything in without hardware."""
 
 import argparse
+import shlex
 from pathlib import Path
 from string import Template
 
@@ -37,8 +38,8 @@ def run(options: argparse.Namespace) -> int:
             (out / name).write_text(text, encoding="utf-8")
     except OSError as error:
         raise WorldError(f"{out}: cannot be written ({error.strerror})") from None
-    print(f"written: {out}, a simulated camera and robot: as they are (true.yaml), and as you would have measured them")
-    print(f"go on:   cd {out}   and read README.md there: its commands are pasted line by line")
+    print(f"written: README.md and its rig, as it is and as you would have measured it, in {out}")
+    print(f"go on:   cd {shlex.quote(str(out))} and paste the commands of README.md, line by line")
     return 0
 
 
