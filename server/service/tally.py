@@ -14,7 +14,7 @@ from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.pose.solve import PoseEstimate
 
 BRIGHT = 250  # grey levels: a pixel that is as good as saturated
-STEP = 4  # every so many rows and columns are looked at for the share of saturated pixels
+STEP = 8  # every so many rows and columns are looked at for the share of saturated pixels
 
 
 class Seen(NamedTuple):
