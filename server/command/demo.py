@@ -18,7 +18,7 @@ from asterism.protocol.rig import load_rig
 from asterism.recordings.recorder import Recorder
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.number_arguments import positive
-from asterism.server.command.shared_arguments import add_server, add_smoothing
+from asterism.server.command.shared_arguments import add_server, add_smoothing, client_words
 from asterism.server.service.publish import Publisher
 from asterism.server.service.serve import Outlets, Run, Stop, stop_on_signals
 from asterism.server.simulation.demo_rig import DEMO_RIG
@@ -83,8 +83,7 @@ def run(options: argparse.Namespace) -> int:
 def _next(options: argparse.Namespace, folder: Path) -> list[str]:
     """What to look at next: commands that work as they are printed."""
     server = _given(options, "listen", "connect", "zenoh")
-    # Whoever watches connects to where the demonstration listens.
-    client = ["--connect", options.listen] if options.listen else _given(options, "connect", "zenoh")
+    client = client_words(options)
     record = _given(options, "record") if options.record != RECORD else []
     return [
         "",
