@@ -18,7 +18,7 @@ from asterism.protocol.rig import load_rig
 from asterism.recordings.recorder import Recorder
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.number_arguments import positive
-from asterism.server.command.shared_arguments import add_server, add_smoothing
+from asterism.server.command.shared_arguments import add_server, add_smoothing, client_words
 from asterism.server.service.publish import Publisher
 from asterism.server.service.serve import Outlets, Run, Stop, stop_on_signals
 from asterism.server.simulation.demo_rig import DEMO_RIG
@@ -50,6 +50,7 @@ def run(options: argparse.Namespace) -> int:
         session: zenoh.Session = open_server(options.listen, options.connect, options.zenoh)
         publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig)))
         warm_up()
+        stack.enter_context(stop_on_signals(stop))
         source = Simulated(rig, look=LOOK)
         table, drawn = RobotTable(), threading.Event()
         stack.callback(table.subscribe(session).clear)
@@ -63,20 +64,16 @@ def run(options: argparse.Namespace) -> int:
                 timer.daemon = True
                 timer.start()
                 stack.callback(timer.cancel)
-            with stop_on_signals(stop):
-                began = time.monotonic()
-                served.serve(smoothed=options.smooth)
-                seconds = time.monotonic() - began
+            began = time.monotonic()
+            served.serve(smoothed=options.smooth)
+            seconds = time.monotonic() - began
         finally:
             drawn.set()
             drawing.join()
             recorder.close(served.ending())
-    told = served.summary()
-    print(f"\n{told[0]}, in {seconds:.0f} s; recorded in\n  {recorder.folder}")
-    for line in told[1:]:
-        print(f"  {line}")
-    for line in _next(options, recorder.folder):
-        print(line)
+    frames, *robots = served.summary()
+    print(f"\n{frames}, in {seconds:.0f} s; recorded in\n  {recorder.folder}")
+    print("\n".join([*(f"  {line}" for line in robots), *_next(options, recorder.folder)]))
     if recorder.problem:
         print(recorder.problem)
         return 1
@@ -86,8 +83,7 @@ def run(options: argparse.Namespace) -> int:
 def _next(options: argparse.Namespace, folder: Path) -> list[str]:
     """What to look at next: commands that work as they are printed."""
     server = _given(options, "listen", "connect", "zenoh")
-    # Whoever watches connects to where the demonstration listens.
-    client = ["--connect", options.listen] if options.listen else _given(options, "connect", "zenoh")
+    client = client_words(options)
     record = _given(options, "record") if options.record != RECORD else []
     return [
         "",

@@ -14,7 +14,7 @@ from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.reader import Recording
 from asterism.server.command.number_arguments import positive
-from asterism.server.command.shared_arguments import add_recording, add_server
+from asterism.server.command.shared_arguments import add_recording, add_server, client_words
 from asterism.server.service.publish import Publisher, is_alive
 from asterism.server.service.say import say
 from asterism.server.service.serve import Stop, stop_on_signals
@@ -67,7 +67,8 @@ def run(options: argparse.Namespace) -> int:
         stack.enter_context(stop_on_signals(stop))
         where = options.connect or options.listen or options.zenoh or DEFAULT_ENDPOINT
         say(f"replaying {options.recording} at {where} under {prefix}asterism/{rig.camera.name}")
-        say(f"watch it in another terminal: {typed('watch', *_watching(options, prefix))}")
+        prefixed = ["--prefix", prefix] if prefix else []
+        say(f"watch it in another terminal: {typed('watch', *prefixed, *client_words(options))}")
         published = 0
         while not stop():
             source = _solved(recording, rig) if options.solve is not None else recording.messages()
@@ -76,13 +77,6 @@ def run(options: argparse.Namespace) -> int:
                 break
     say(f"{'stopped after ' if stop() else ''}{published} messages published")
     return 0
-
-
-def _watching(options: argparse.Namespace, prefix: str) -> list[object]:
-    """The arguments with which `watch` shows this replay."""
-    where = options.connect or options.listen
-    client = ["--connect", where] if where else ["--zenoh", options.zenoh] if options.zenoh else []
-    return [*(["--prefix", prefix] if prefix else []), *client]
 
 
 def _wire(messages: Iterator[Message]) -> Iterator[Message]:

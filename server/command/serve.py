@@ -8,7 +8,7 @@ from asterism.protocol.codec import encode_rig
 from asterism.protocol.errors import InputError
 from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
 from asterism.protocol.program import typed
-from asterism.protocol.rig import load_rig
+from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.recorder import Recorder
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.number_arguments import count, positive
@@ -18,6 +18,7 @@ from asterism.server.service.publish import Publisher
 from asterism.server.service.say import say, say_warnings
 from asterism.server.service.serve import Outlets, Run, Sink, Stop, stop_on_signals
 from asterism.server.sources.open_source import open_source
+from asterism.server.sources.source import Source
 
 EXAMPLES = (
     "asterism serve rig.yaml /dev/video0 --record recordings\n"
@@ -64,32 +65,35 @@ def run(options: argparse.Namespace) -> int:
         session = open_server(options.listen, options.connect, options.zenoh)
         publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig)))
         warm_up()
+        stack.enter_context(stop_on_signals(stop))
         sinks: tuple[Sink, ...] = ()
         if options.rerun:
             from asterism.server.service.live_view import LiveView
 
             sinks = (stack.enter_context(LiveView(rig)).write,)
-        recorder = None
-        if options.record is not None:
-            recorder = Recorder(options.record, rig, source.name, options.record_frames, wait=not source.live)
         where = options.connect or options.listen or options.zenoh or DEFAULT_ENDPOINT
         say(f"serving {len(rig.robots)} robots of camera '{rig.camera.name}' from {source.name} at {where}")
-        if recorder is not None:
-            say(f"recording to {recorder.folder}")
+        recorder = _recorder(options, rig, source)
         served = Run(rig, source, Outlets(publisher, recorder, sinks), stop)
         try:
-            with stop_on_signals(stop), LiveLine(served.now):
+            with LiveLine(served.now):
                 served.serve(options.rate, options.smooth)
         finally:
             if recorder is not None:
                 recorder.close(served.ending())
+                say(f"recorded in {recorder.folder}; look at it with")
+                say(f"  {typed('review', recorder.folder)}")
     for line in served.summary():
         say(line)
-    if recorder is None:
-        return 0
-    say(f"recorded in {recorder.folder}")
-    say(f"look at it: {typed('review', recorder.folder)}")
-    if recorder.problem:
+    if recorder is not None and recorder.problem:
         say(recorder.problem)
         return 1
     return 0
+
+
+def _recorder(options: argparse.Namespace, rig: Rig, source: Source) -> Recorder | None:
+    if options.record is None:
+        return None
+    recorder = Recorder(options.record, rig, source.name, options.record_frames, wait=not source.live)
+    say(f"recording to {recorder.folder}")
+    return recorder

@@ -1,6 +1,7 @@
 """Arguments that several commands take, described once."""
 
 import argparse
+import json
 from pathlib import Path
 
 SOURCE = "a camera (0, /dev/video0), a folder or glob of images, a video, a recording, or sim"
@@ -24,6 +25,19 @@ def add_client(part: argparse.ArgumentParser) -> None:
 
 def _add_zenoh(part: argparse.ArgumentParser) -> None:
     part.add_argument("--zenoh", metavar="FILE", type=Path, help="any zenoh options, as JSON5")
+
+
+def client_words(options: argparse.Namespace) -> list[str]:
+    """The arguments with which `watch`, on this machine, finds what was started with the options of `add_server`."""
+    from asterism.protocol.network import DEFAULT_ENDPOINT, server_config
+
+    where = options.connect or options.listen
+    if where is None and options.zenoh is not None:
+        config = server_config(options=options.zenoh)
+        kind = "connect" if json.loads(config.get_json("mode")) == "client" else "listen"
+        endpoints = json.loads(config.get_json(f"{kind}/endpoints"))
+        where = endpoints[0] if isinstance(endpoints, list) and endpoints else None
+    return [] if where in (None, DEFAULT_ENDPOINT) else ["--connect", where]
 
 
 def add_smoothing(part: argparse.ArgumentParser) -> None:

@@ -51,10 +51,8 @@ class Adviser:
         return [*self._tally.lines(), *self.last()] if self._tally.frames else []
 
     def _sentence(self) -> str:
-        seen, frame = self._tally.seen(), self._tally.frame
-        if seen is None or frame is None:
-            return ""
-        return advice(seen, self._look_wider(frame), self._range())
+        blank = self._tally.seen()
+        return "" if blank is None else advice(blank[0], self._look_wider(blank[1]), self._range())
 
     def _range(self) -> tuple[float, float]:
         plan = plan_for(self._rig)

@@ -14,7 +14,7 @@ from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.pose.solve import PoseEstimate
 
 BRIGHT = 250  # grey levels: a pixel that is as good as saturated
-STEP = 4  # every so many rows and columns are looked at for the share of saturated pixels
+STEP = 8  # every so many rows and columns are looked at for the share of saturated pixels
 
 
 class Seen(NamedTuple):
@@ -31,6 +31,7 @@ class Blank:
     """Frames one after the other in which no robot was found; ``began_s`` of the first, by the tally's clock."""
 
     began_s: float
+    newest: Frame
     frames: int = 0
     spots: Counter[str] = field(default_factory=Counter)
     brightest: float = 0.0
@@ -39,6 +40,7 @@ class Blank:
     def add(self, frame: Frame, result: FrameResult) -> None:
         """One more."""
         self.frames += 1
+        self.newest = frame
         for fate, count in zip(*np.unique(result.blobs.fates, return_counts=True), strict=True):
             self.spots[Fate.Name(int(fate))] += int(count)
         self.brightest += float(frame.image.max())
@@ -86,7 +88,7 @@ class Tally:
             if found:
                 self.blank = None
                 return
-            self.blank = self.blank or Blank(now)
+            self.blank = self.blank or Blank(now, frame)
             self.blank.add(frame, result)
 
     def rate_hz(self) -> float:
@@ -110,10 +112,10 @@ class Tally:
                 if not (entry.states["TRACKED"] or entry.states["TILT_AMBIGUOUS"])
             ]
 
-    def seen(self) -> Seen | None:
-        """What the newest frames showed, if no robot was found in them."""
+    def seen(self) -> tuple[Seen, Frame] | None:
+        """What the newest frames showed, and the newest of them, if no robot was found in them."""
         with self._lock:
-            return None if self.blank is None else self.blank.seen()
+            return None if self.blank is None else (self.blank.seen(), self.blank.newest)
 
     def lines(self) -> list[str]:
         """A line a robot: in how many frames it was in which state, and why most often it was not located."""

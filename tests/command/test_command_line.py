@@ -11,6 +11,7 @@ import pytest
 
 from asterism.server.__main__ import main
 from asterism.server.command import calibrate, parser
+from asterism.server.command.shared_arguments import client_words
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.servers import asterism
 
@@ -123,6 +124,24 @@ def test_bad_input_gets_one_sentence_and_exit_code_2(
         (("nonsense",), "invalid choice: 'nonsense'"),
     ):
         assert words in refused(capsys, *arguments), arguments
+
+
+def test_a_hint_how_to_watch_leads_to_where_the_server_is(tmp_path: Path) -> None:
+    file = tmp_path / "zenoh.json5"
+    for text, words, expected in (
+        ("{}", [], []),
+        ("{}", ["--listen", "tcp/127.0.0.1:7448"], ["--connect", "tcp/127.0.0.1:7448"]),
+        ("{}", ["--connect", "tcp/10.0.0.1:7447"], ["--connect", "tcp/10.0.0.1:7447"]),
+        ("{}", ["--zenoh", str(file)], []),
+        ("{listen: {endpoints: ['tcp/127.0.0.1:9']}}", ["--zenoh", str(file)], ["--connect", "tcp/127.0.0.1:9"]),
+        (
+            "{mode: 'client', connect: {endpoints: ['tcp/10.0.0.1:9']}}",
+            ["--zenoh", str(file)],
+            ["--connect", "tcp/10.0.0.1:9"],
+        ),
+    ):
+        file.write_text(text)
+        assert client_words(parser.parser(["demo"]).parse_args(["demo", *words])) == expected
 
 
 def test_a_camera_that_does_not_open_is_exit_code_1(capsys: pytest.CaptureFixture[str]) -> None:
