@@ -2,20 +2,15 @@
 
 from pathlib import Path
 
-from asterism.protocol.errors import InputError, WorldError
+from asterism.server.output import check_file, new_file
 
 
 def check_result_file(path: Path, force: bool) -> None:
-    """Refuse, before any work is done, a path that holds something already or whose folder is not there.
+    """Refuse, before any work is done, a path that holds something already or that cannot be written.
 
-    Raises InputError.
+    Raises InputError, and WorldError when the disk is full.
     """
-    if path.exists() and not force:
-        raise InputError(f"{path}: exists; choose another name, or --force to replace it (the old one is kept beside)")
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, expected the name of a file")
-    if not path.resolve().parent.is_dir():
-        raise InputError(f"{path}: there is no folder {path.parent}")
+    check_file(path, force)
 
 
 def write_result_file(path: Path, text: str, force: bool) -> Path | None:
@@ -24,22 +19,6 @@ def write_result_file(path: Path, text: str, force: bool) -> Path | None:
 
     Raises InputError as `check_result_file` does, WorldError if the disk does not take it.
     """
-    check_result_file(path, force)
-    kept = None
-    try:
-        new = path.with_name(f".{path.name}.new")
-        new.write_text(text, encoding="utf-8")
-        if path.exists():
-            kept = _free_name(path)
-            kept.hardlink_to(path)
-        new.replace(path)
-    except OSError as error:
-        raise WorldError(f"{path}: cannot be written ({error.strerror})") from None
-    return kept
-
-
-def _free_name(path: Path) -> Path:
-    number = 1
-    while (kept := path.with_name(f"{path.name}.old-{number}")).exists():
-        number += 1
-    return kept
+    with new_file(path, force) as output:
+        output.path.write_text(text, encoding="utf-8")
+    return output.kept

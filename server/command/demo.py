@@ -16,7 +16,8 @@ from asterism.protocol.rig import load_rig
 from asterism.recordings.recorder import Recorder
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.number_arguments import positive
-from asterism.server.command.shared_arguments import add_server, add_smoothing
+from asterism.server.command.shared_arguments import add_server, add_smoothing, named
+from asterism.server.output import check_folder_of_many
 from asterism.server.service.publish import Publisher
 from asterism.server.service.serve import Stop, serve, stop_on_signals
 from asterism.server.simulation.demo_rig import DEMO_RIG
@@ -34,7 +35,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     part.add_argument("--seconds", metavar="N", type=positive, default=20.0, help="how long (default: 20)")
     part.add_argument("--forever", action="store_true", help="until Ctrl-C")
     part.add_argument(
-        "--record", metavar="DIR", type=Path, default=Path("recordings-demo"), help="default: recordings-demo"
+        "--record", metavar="DIR", type=named, default=Path("recordings-demo"), help="default: recordings-demo"
     )
     add_smoothing(part)
     add_server(part)
@@ -42,6 +43,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run for --seconds, or until Ctrl-C, then say where to look."""
+    check_folder_of_many(options.record)
     rig = load_rig(DEMO_RIG)
     console = Console()
     stop = Stop()

@@ -6,6 +6,7 @@ from types import ModuleType
 from typing import NoReturn
 
 from asterism import __version__
+from asterism.server.command.shared_arguments import add_telling
 
 COMMANDS = {
     "demo": "simulated camera, five robots on a curved surface: serve, record, watch",
@@ -75,3 +76,4 @@ def add_commands(
                 add_commands(part, module.SUBCOMMANDS, name, words)
             else:
                 module.add_arguments(part)
+                add_telling(part)
