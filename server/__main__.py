@@ -11,6 +11,7 @@ from asterism import __version__
 from asterism.protocol.errors import InputError, WorldError
 from asterism.server.command.installed import missing_module, older_install
 from asterism.server.command.parser import module_of, parser
+from asterism.server.output import NOTHING
 from asterism.server.service.say import complain, say
 from asterism.server.service.telling import Telling, telling
 
@@ -25,18 +26,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
     with telling() as told:
+        options = argparse.Namespace(out=None)
         try:
-            return _run(words, told)
+            parser(words).parse_args(words, options)
+            return _run(options, words, told)
         except (InputError, WorldError, OSError, MemoryError, ModuleNotFoundError, KeyboardInterrupt) as error:
             code, text = _failure(error, words)
             _LOG.debug("how it came about", exc_info=error)
+            notes = getattr(error, "__notes__", [])
+            if isinstance(error, KeyboardInterrupt) and not notes and options.out and not options.out.exists():
+                notes = [NOTHING]
             if text:
-                complain("; ".join([text, *getattr(error, "__notes__", [])]))
+                complain("; ".join([text, *notes]))
             return code
 
 
-def _run(words: list[str], told: Telling) -> int:
-    options: argparse.Namespace = parser(words).parse_args(words)
+def _run(options: argparse.Namespace, words: list[str], told: Telling) -> int:
     told.choose(options.quiet, options.verbose, options.log)
     _LOG.debug("asterism %s, Python %s: asterism %s", __version__, sys.version.split()[0], shlex.join(words))
     if older := older_install(sys.path):

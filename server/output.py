@@ -19,6 +19,7 @@ from pathlib import Path
 from asterism.protocol.errors import InputError, WorldError
 
 PARTIAL = ".partial"
+NOTHING = "nothing was written"
 
 
 @dataclass(slots=True)
@@ -88,7 +89,7 @@ def new_file(path: Path, force: bool, keep: bool = False) -> Iterator[Output]:
     """The file ``path`` in the making; what the block has written takes its name when the block ends.
 
     When the block fails or is interrupted, what is there is removed, or with ``keep`` (half of it is of use) kept as
-    NAME.partial; a note in the exception says so. Raises as `check_file` does, WorldError when it cannot be written.
+    NAME.partial; a note in the exception says which. Raises as `check_file` does, WorldError when it cannot be written.
     """
     check_file(path, force)
     real = path.resolve()
@@ -107,7 +108,7 @@ def new_file(path: Path, force: bool, keep: bool = False) -> Iterator[Output]:
             error.add_note(f"what was done so far is in {path}{PARTIAL}")
         else:
             output.path.unlink(missing_ok=True)
-            error.add_note("nothing was written")
+            _note_interruption(error)
         raise
 
 
@@ -132,8 +133,14 @@ def new_folder(path: Path, force: bool) -> Iterator[Output]:
         if made:
             with contextlib.suppress(OSError):
                 path.rmdir()
-        error.add_note("nothing was written")
+        _note_interruption(error)
         raise
+
+
+def _note_interruption(error: BaseException) -> None:
+    """Where the input or the disk is wrong, it goes without saying."""
+    if isinstance(error, KeyboardInterrupt):
+        error.add_note(NOTHING)
 
 
 def _fill(path: Path, output: Output) -> None:
