@@ -24,7 +24,7 @@ from asterism.server.calibration.lens.targets import Target, parse_target
 from asterism.server.chain.frame import Frame
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.calibrate import TARGET, add_source_and_out
-from asterism.server.command.progress import progress
+from asterism.server.command.progress import progress, working
 from asterism.server.output import check_file, new_file
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source
@@ -74,15 +74,18 @@ def run(options: argparse.Namespace) -> int:
         _look_through(source, search)
     refuse_too_few(search.views, search.looked_at, target, options.source, search.samples)
     width, height = search.size
-    fit, held_out = calibrate_camera(search.views, width, height, target, options.model, say)
+    with working("fitting the lens") as doing:
+        fit, held_out = calibrate_camera(search.views, width, height, target, options.model, doing)
     camera = parse_camera(camera_text(replace(fit.camera, name=name)), str(options.out))
     remarks = missing(fit)
     if ends_inside(camera):
         remarks.append("the lens model ends inside the image: LEDs near its edge have no ray")
     if hint := implausible(fit):
         remarks.append(hint)
+    with working("drawing the plots"):
+        plots = coverage_png(fit), residuals_png(fit)
     report = report_text(fit, target.name, options.source, held_out, remarks)
-    contents = (camera_text(camera).encode(), report.encode(), coverage_png(fit), residuals_png(fit))
+    contents = (camera_text(camera).encode(), report.encode(), *plots)
     kept = _write(dict(zip((options.out, *_beside(options.out)), contents, strict=True)), options.force)
     _tell(fit, held_out, search)
     for remark in remarks:

@@ -10,6 +10,7 @@ from rich.table import Table
 from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import parse_rig
 from asterism.server.command.number_arguments import count, positive
+from asterism.server.command.progress import working
 from asterism.server.command.shared_arguments import add_out
 from asterism.server.design.drill_plan import drill_plan
 from asterism.server.design.page import pdf, svg
@@ -17,7 +18,6 @@ from asterism.server.design.plate_design import FOCAL_PX, LED_RADIUS, RIM, Desig
 from asterism.server.design.plate_files import camera_text, rig_text
 from asterism.server.design.telling_apart import SIGMAS, TILT_DEG, image_px
 from asterism.server.output import check_folder, new_folder
-from asterism.server.service.say import say
 
 EXAMPLES = "asterism design --robots 8 --disc 0.1 --spacing 0.02 --distance 1.5 --sigma 0.05 -o plates\n"
 
@@ -37,8 +37,8 @@ def run(options: argparse.Namespace) -> int:
     out: Path = options.out
     check_folder(out, options.force)
     request = Request(options.robots, options.disc, options.spacing, options.distance, options.sigma)
-    say("searching (some ten seconds; the first time on a machine half a minute) ...")
-    found = design(request)
+    with working("searching"):
+        found = design(request)
     rig, camera = rig_text(found), camera_text()
     parse_rig(rig, camera, str(out))
     with new_folder(out, options.force) as made:

@@ -19,7 +19,7 @@ from asterism.server.calibration.leds.observations import observe
 from asterism.server.calibration.survey.survey import match_frames, read_survey
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.calibrate import TRUTH
-from asterism.server.command.progress import progress
+from asterism.server.command.progress import progress, working
 from asterism.server.command.shared_arguments import FINITE_SOURCE, add_out
 from asterism.server.output import check_folder, new_folder
 from asterism.server.service.say import say
@@ -52,8 +52,10 @@ def run(options: argparse.Namespace) -> int:
         truth, source = options.truth
         compared, light = _compare(rig, Path(truth), source, uncertainty, light)
         measured = (compared, bins_of(compared), f"{source} beside {truth}")
-    budget = budget_of(rig, uncertainty, light)
-    plots = plots_of(rig, budget, *(measured[:2] if measured else (None, [])))
+    with working("reckoning the budget") as now:
+        budget = budget_of(rig, uncertainty, light)
+        now("plots")
+        plots = plots_of(rig, budget, *(measured[:2] if measured else (None, [])))
     text = page(Path(options.rig).name, rig, uncertainty, light, budget, plots, measured)
     with new_folder(out, options.force) as made:
         for plot in plots:
