@@ -3,25 +3,21 @@
 from pathlib import Path
 
 from asterism.protocol.errors import InputError, WorldError
+from asterism.server.output import check_file, free_name, new_file
 from asterism.server.simulation.measured_rig import TRUTH_MARK
 
 
 def check_result_file(path: Path, force: bool) -> None:
-    """Refuse, before any work is done, a path that holds something already or whose folder is not there.
+    """Refuse, before any work is done, a path that holds something already or that cannot be written.
 
-    Raises InputError.
+    Raises InputError, and WorldError when the disk is full.
     """
     if holds_truth(path):
         raise InputError(
             f"{path}: holds the truth of a simulation, which nothing measured may replace, not with --force either; "
             "choose another name"
         )
-    if path.exists() and not force:
-        raise InputError(f"{path}: exists; choose another name, or --force to replace it (the old one is kept beside)")
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, expected the name of a file")
-    if not path.resolve().parent.is_dir():
-        raise InputError(f"{path}: there is no folder {path.parent}")
+    check_file(path, force)
 
 
 def holds_truth(path: Path) -> bool:
@@ -39,17 +35,9 @@ def write_result_file(path: Path, text: str, force: bool) -> Path | None:
     Raises InputError as `check_result_file` does, WorldError if the disk does not take it.
     """
     check_result_file(path, force)
-    kept = None
-    try:
-        new = path.with_name(f".{path.name}.new")
-        new.write_text(text.replace(f"{TRUTH_MARK}\n", ""), encoding="utf-8")
-        if path.exists():
-            kept = _free_name(path)
-            kept.hardlink_to(path)
-        new.replace(path)
-    except OSError as error:
-        raise WorldError(f"{path}: cannot be written ({error.strerror})") from None
-    return kept
+    with new_file(path, force) as output:
+        output.path.write_text(text.replace(f"{TRUTH_MARK}\n", ""), encoding="utf-8")
+    return output.kept
 
 
 def set_aside(path: Path) -> Path | None:
@@ -59,16 +47,9 @@ def set_aside(path: Path) -> Path | None:
     """
     if not path.exists():
         return None
-    kept = _free_name(path)
+    kept = free_name(path)
     try:
         path.rename(kept)
     except OSError as error:
         raise WorldError(f"{path}: cannot be renamed ({error.strerror})") from None
-    return kept
-
-
-def _free_name(path: Path) -> Path:
-    number = 1
-    while (kept := path.with_name(f"{path.name}.old-{number}")).exists():
-        number += 1
     return kept

@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,7 @@ from asterism.server.chain.frame import Frame
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.calibrate import add_source_and_out
 from asterism.server.command.number_arguments import positive
-from asterism.server.command.progress import progress
+from asterism.server.command.progress import progress, working
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
 
@@ -87,19 +88,23 @@ def run(options: argparse.Namespace) -> int:
     ids = [robot.id for robot in rig.robots]
     if options.robot not in ids:
         raise InputError(f"--robot {options.robot}: is not in {options.rig}, expected one of {', '.join(ids)}")
-    rounds = iter(("finding the LEDs", "measuring"))
+    rounds = iter(("finding the LEDs", "learning where they are", "measuring", "fitting their places"))
+    fitting = ExitStack()
     quiet = False  # the second round meets the same unreadable images again
 
     def frames() -> Iterator[Frame]:
         nonlocal quiet
         source = open_source(options.source, rig, (lambda _: None) if quiet else say)
         quiet = True
+        fitting.close()
         yield from progress(source.frames(), source.length, next(rounds))
+        fitting.enter_context(working(next(rounds)))
 
     warm_up()
     robot = rig.robot(options.robot)
     gauge = Gauge(robot.leds, options.distance, options.frame)
-    found = calibrate_leds(rig, options.robot, frames, options.source, gauge)
+    with fitting:
+        found = calibrate_leds(rig, options.robot, frames, options.source, gauge)
     adjusted = found.adjusted
     leds = adjusted.leds.round(DECIMALS) + 0.0
     text = rewrite(rig.rig_text, {("robots", options.robot, "leds"): leds.tolist()}, options.rig)

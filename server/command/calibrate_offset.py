@@ -18,7 +18,7 @@ from asterism.server.calibration.survey.surveyed import check_survey, pair
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.calibrate import TRUTH, add_source_and_out
 from asterism.server.command.number_arguments import positives
-from asterism.server.command.progress import progress
+from asterism.server.command.progress import progress, working
 from asterism.server.pose.led_optics import check_cover
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
@@ -63,7 +63,8 @@ def run(options: argparse.Namespace) -> int:
     ]
     paired = pair(survey, seen, source.name)
     check_survey(paired.pairs, rig, survey.name, FEWEST_POSES)
-    found = calibrate_offset(rig, paired.pairs, options.source, options.dome, options.window)
+    with working("fitting the offset, each pose held out in its turn"):
+        found = calibrate_offset(rig, paired.pairs, options.source, options.dome, options.window)
     for remark in paired.remarks:
         say(remark)
     _tell(found)

@@ -28,7 +28,7 @@ from asterism.server.calibration.survey.world_board import fit_board
 from asterism.server.calibration.survey.world_lens import spread_by_lens
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.calibrate import TARGET, TRUTH, add_source_and_out
-from asterism.server.command.progress import progress
+from asterism.server.command.progress import progress, working
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
 
@@ -110,7 +110,8 @@ def _from_survey(options: argparse.Namespace, rig: Rig, lens: Floats) -> tuple[P
     for remark in paired.remarks:
         say(remark)
     pairs = paired.pairs
-    fit = fit_world(pairs, str(options.truth))
+    with working("fitting the camera's place"):
+        fit = fit_world(pairs, str(options.truth))
     _tell(fit)
     axes = [fit.T_world_camera.rotation @ s.pose.rotation @ rig.robot(s.robot).axis for s, _ in pairs]
     if np.median([axis[2] for axis in axes]) < 0.0:
@@ -175,7 +176,8 @@ def _from_target(options: argparse.Namespace, rig: Rig, lens: Floats) -> tuple[P
             f"{options.source}: the target {options.target} is in none of its {count} frames, expected it whole in one "
             "at least; are columns and rows those of inner corners?"
         )
-    fit = fit_board(views, rig.camera, lens)
+    with working("fitting the camera's place"):
+        fit = fit_board(views, rig.camera, lens)
     console = _console()
     table = Table(box=None, header_style="bold", padding=(0, 1))
     for name in ("frame", "residual px", "held out px"):

@@ -28,7 +28,7 @@ from asterism.server.calibration.survey.surveyed import Pairs, check_spread, che
 from asterism.server.calibration.survey.surveyed_fit import errors_of
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.calibrate import TRUTH, add_source_and_out
-from asterism.server.command.progress import progress
+from asterism.server.command.progress import progress, working
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
 
@@ -73,13 +73,15 @@ def run(options: argparse.Namespace) -> int:
     paired = pair(survey, seen, source.name)
     check_survey(paired.pairs, rig, survey.name, FEWEST_POSES)
     check_spread(paired.pairs, survey.name)
-    found = refit(rig, paired.pairs)
+    with working("fitting lens, LEDs and poses, each pose held out in its turn"):
+        found = refit(rig, paired.pairs)
     for remark in paired.remarks:
         say(remark)
     kept = found.better and not options.no_refit
     new = found.rig if kept else rig
     used = [p for p, good in zip(paired.pairs, found.fit.used, strict=True) if good]
-    plane = None if options.no_plane else super_plane(new, used)
+    with working("choosing the super-plane"):
+        plane = None if options.no_plane else super_plane(new, used)
     correction = plane.correction if plane is not None else None
     _tell(found, rig, options.no_refit, plane, used)
 

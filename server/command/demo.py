@@ -18,7 +18,8 @@ from asterism.protocol.rig import load_rig
 from asterism.recordings.recorder import Recorder
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.number_arguments import positive
-from asterism.server.command.shared_arguments import add_server, add_smoothing, client_words
+from asterism.server.command.shared_arguments import add_server, add_smoothing, client_words, named
+from asterism.server.output import check_folder_of_many
 from asterism.server.service.publish import Publisher
 from asterism.server.service.serve import Outlets, Run, Stop, stop_on_signals
 from asterism.server.simulation.demo_rig import DEMO_RIG
@@ -36,13 +37,14 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     part.add_argument("--seconds", metavar="N", type=positive, default=20.0, help="how long (default: 20)")
     part.add_argument("--forever", action="store_true", help="until Ctrl-C")
-    part.add_argument("--record", metavar="DIR", type=Path, default=RECORD, help="default: recordings-demo")
+    part.add_argument("--record", metavar="DIR", type=named, default=RECORD, help="default: recordings-demo")
     add_smoothing(part)
     add_server(part)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run for --seconds, or until Ctrl-C, then say where to look."""
+    check_folder_of_many(options.record)
     rig = load_rig(DEMO_RIG)
     console = Console()
     stop = Stop()

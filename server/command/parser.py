@@ -8,6 +8,7 @@ from typing import NoReturn
 
 from asterism import __version__
 from asterism.protocol.program import NAME, program
+from asterism.server.command.shared_arguments import add_telling
 
 COMMANDS = {
     "demo": "simulated camera, five robots on a curved surface: serve, record, watch",
@@ -79,3 +80,4 @@ def add_commands(
                 add_commands(part, module.SUBCOMMANDS, name, words)
             else:
                 module.add_arguments(part)
+                add_telling(part)

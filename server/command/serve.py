@@ -2,7 +2,6 @@
 
 import argparse
 from contextlib import ExitStack
-from pathlib import Path
 
 from asterism.protocol.codec import encode_rig
 from asterism.protocol.errors import InputError
@@ -12,7 +11,8 @@ from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.recorder import Recorder
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.number_arguments import count, positive
-from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing
+from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing, named
+from asterism.server.output import check_folder_of_many
 from asterism.server.service.live_line import LiveLine
 from asterism.server.service.publish import Publisher
 from asterism.server.service.say import say, say_warnings
@@ -32,7 +32,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     part.add_argument("rig", metavar="RIG", help="rig.yaml")
     part.add_argument("source", metavar="SOURCE", help=SOURCE)
     part.add_argument("--rate", metavar="HZ", type=positive, help="play images or a video at this rate")
-    part.add_argument("--record", metavar="DIR", type=Path, help="record into a new folder in DIR")
+    part.add_argument("--record", metavar="DIR", type=named, help="record into a new folder in DIR")
     part.add_argument(
         "--record-frames",
         metavar="all|N|none",
@@ -53,6 +53,8 @@ def _every(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Serve until the source ends or Ctrl-C; exit code 1 if the recording had to end early."""
+    if options.record is not None:
+        check_folder_of_many(options.record)
     rig = load_rig(options.rig)
     say_warnings(rig)
     if options.listen and options.connect:

@@ -47,6 +47,35 @@ def add_smoothing(part: argparse.ArgumentParser) -> None:
     )
 
 
+def add_out(part: argparse.ArgumentParser, metavar: str, what: str, required: bool = True) -> None:
+    """What a command writes, and whether it may replace what is there."""
+    part.add_argument("-o", "--out", metavar=metavar, type=named, required=required, help=what)
+    add_force(part)
+
+
+def add_force(part: argparse.ArgumentParser) -> None:
+    """Whether a command may replace what is there."""
+    part.add_argument("--force", action="store_true", help="replace what is there, keeping the old one as NAME.old-1")
+
+
+def add_telling(part: argparse.ArgumentParser) -> None:
+    """How much a command tells; every command has it."""
+    group = part.add_argument_group("what is told")
+    how_much = group.add_mutually_exclusive_group()
+    how_much.add_argument("--quiet", action="store_true", help="only results and errors")
+    how_much.add_argument("--verbose", action="store_true", help="details too, for finding out what is wrong")
+    group.add_argument(
+        "--log", metavar="FILE", type=named, help="all of it goes into FILE too, with UTC times; what is there stays"
+    )
+
+
+def named(text: str) -> Path:
+    """The path of a file or folder."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError(f"{text!r}, expected a name")
+    return Path(text)
+
+
 def add_recording(part: argparse.ArgumentParser) -> None:
     """The recording that a command reads."""
     part.add_argument("recording", metavar="RECORDING", type=Path, help="a recording's folder")

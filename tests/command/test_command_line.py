@@ -98,7 +98,7 @@ def test_bad_input_gets_one_sentence_and_exit_code_2(
         (("locate", DEMO_RIG, tmp_path / "empty", "-o", out), "holds no images"),
         (("locate", DEMO_RIG, tmp_path / "none", "-o", out), "there is no such source"),
         (("locate", DEMO_RIG, "sim", "-o", out), "sim: has no end; locate takes a folder"),
-        (("locate", DEMO_RIG, frames, "-o", tmp_path / "no" / "x"), "cannot be written"),
+        (("locate", DEMO_RIG, frames, "-o", tmp_path / "no" / "x"), "there is no folder"),
         (("locate", DEMO_RIG, frames, "-o", out, "--smooth", "--independent"), "--independent and --smooth exclude"),
         (("locate", DEMO_RIG, frames), "the following arguments are required: -o"),
         (("serve", DEMO_RIG, frames, "--listen", "here"), "endpoint 'here': expected PROTOCOL/ADDRESS"),
@@ -120,7 +120,7 @@ def test_bad_input_gets_one_sentence_and_exit_code_2(
         (("simulate", DEMO_RIG, frames), "exists already, expected a new or empty folder"),
         (("simulate", DEMO_RIG, tmp_path / "s", "--frames", "0"), "argument --frames: '0'"),
         (("simulate", DEMO_RIG, tmp_path / "s", "--hide", "2"), "argument --hide: 2, expected a number from 0 to 1"),
-        (("simulate", DEMO_RIG, tmp_path / "s", "--glints", "-1"), "--glints: -1, expected 0 or more"),
+        (("simulate", DEMO_RIG, tmp_path / "s", "--glints", "-1"), "argument --glints: '-1', expected a"),
         (("nonsense",), "invalid choice: 'nonsense'"),
     ):
         assert words in refused(capsys, *arguments), arguments

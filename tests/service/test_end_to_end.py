@@ -163,20 +163,20 @@ def test_locate_stopped_by_ctrl_c_says_what_it_left_and_is_not_in_its_own_way(fi
     many.mkdir()
     for number in range(3000):
         (many / f"{number:05d}.png").symlink_to(film / "frames" / f"{number % FRAMES:05d}.png")
+    part = tmp_path / "poses.jsonl.partial"
     with running("locate", film / "rig.yaml", many, "-o", out) as locating:
         end = time.monotonic() + 60
-        while not (out.exists() and out.stat().st_size):
+        while not (part.exists() and part.stat().st_size):
             assert time.monotonic() < end
             time.sleep(0.01)
         locating.send_signal(signal.SIGINT)
         _, told = locating.communicate(timeout=60)
-    part = tmp_path / "poses.jsonl.part"
     lines = part.read_text().splitlines()
     assert (locating.returncode, out.exists()) == (130, False)
     assert 0 < len(lines) < 3000
     assert all(json.loads(line)["robots"] for line in lines)
     assert f"asterism: {len(lines)} frames of 3000" in told
-    assert f"asterism: stopped; the first {len(lines)} lines are left in {part}" in told
+    assert f"asterism: interrupted; what was done so far is in {part}" in told
     assert asterism("locate", film / "rig.yaml", film / "frames", "-o", out).returncode == 0
 
 
