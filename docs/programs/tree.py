@@ -9,6 +9,7 @@ from pathlib import Path
 
 REPOSITORY = Path(__file__).parent.parent.parent
 TOP = ("clients", "recordings", "protocol")  # rooms beside those of the server
+Defined = ast.FunctionDef | ast.ClassDef
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text())
 
 
-def sentence_of(node: ast.Module | ast.FunctionDef | ast.ClassDef) -> str:
+def sentence_of(node: ast.Module | Defined) -> str:
     """The first sentence of a docstring, on one line; empty without one."""
     text = " ".join((ast.get_docstring(node) or "").split("\n\n")[0].split())
     return re.split(r"[.;] ", text, maxsplit=1)[0].rstrip(".").replace("`", "")
@@ -123,15 +124,16 @@ def _walk(module: str, name: str, caller: str | None, seen: set[tuple[str, str]]
             _walk(target_module, target, room, seen, doors)
 
 
-def _definition(module: str, name: str) -> ast.FunctionDef | ast.ClassDef | None:
+def _definition(module: str, name: str) -> Defined | None:
+    """The function or class of that name; of `Class.method` the method."""
     body: list[ast.stmt] = parsed(file_of(module)).body
-    node: ast.stmt | None = None
+    found: Defined | None = None
     for part in name.split("."):
-        node = next((n for n in body if isinstance(n, ast.FunctionDef | ast.ClassDef) and n.name == part), None)
-        if not isinstance(node, ast.FunctionDef | ast.ClassDef):
+        found = next((node for node in body if isinstance(node, Defined) and node.name == part), None)
+        if found is None:
             return None
-        body = node.body
-    return node
+        body = found.body
+    return found
 
 
 def _calls(module: str, function: ast.FunctionDef) -> Iterator[tuple[str, str]]:
