@@ -11,9 +11,21 @@ from asterism.protocol.constellation import LEDS, Confusion, confusions, extent,
 from asterism.protocol.geometry import Floats, Pose, frozen_array
 from asterism.protocol.keys import key_problem
 from asterism.protocol.led_offset import LedOffset, parse_offset
+from asterism.protocol.rig_hints import (
+    CAPTURE_WORDS,
+    FARTHEST_POINT,
+    LED_WORDS,
+    NORMAL_WORDS,
+    RIG_WORDS,
+    ROBOT_WORDS,
+    WORLD_WORDS,
+    in_metres,
+    refuse_millimetres,
+)
 from asterism.protocol.yaml_file import Section, parse_yaml, read_yaml
 from asterism.protocol.z_correction import ZCorrection, read_correction
 
+RIG_KEYS = ("camera", "range", "masks", "centre", "capture", "world", "z_correction", "robots")
 ESTIMATORS = ("edge-model", "grey-square", "clip", "zernike")  # the first is the default
 COPLANAR = 0.02  # of the extent: LEDs farther from their common plane are refused
 SEPARATION = 0.02  # of the extent: constellations nearer than this cannot be told apart
@@ -107,6 +119,7 @@ def load_rig(path: str | Path) -> Rig:
     """
     path = Path(path)
     section = read_yaml(path)
+    section.only(RIG_KEYS, RIG_WORDS)
     camera_path = path.parent / section.text("camera")
     if not camera_path.exists():
         raise section.error("camera", f"there is no file {camera_path}, expected a camera_info calibration file")
@@ -135,7 +148,7 @@ def parse_rig(rig_text: str, camera_text: str, name: str, offset_texts: Mapping[
 
 
 def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str, offset_text: _OffsetText) -> Rig:
-    section.only(("camera", "range", "masks", "centre", "capture", "world", "z_correction", "robots"))
+    section.only(RIG_KEYS, RIG_WORDS)
     section.text("camera")
     T_world_camera = _world(section.section("world")) if "world" in section else None
     if T_world_camera is not None and camera.name == "world":
@@ -171,6 +184,7 @@ def _range(section: Section) -> tuple[float, float]:
     near, far = section.numbers("range", 2, "nearest and farthest working distance, m")
     if not 0 < near < far:
         raise section.error("range", f"[{near:g}, {far:g}], expected 0 < nearest < farthest, m")
+    refuse_millimetres(section, "range", (near, far))
     return near, far
 
 
@@ -188,7 +202,7 @@ def _masks(section: Section, camera: Camera) -> tuple[tuple[int, int, int, int],
 
 
 def _capture(section: Section) -> Capture:
-    section.only(("rate", "exposure_us", "gain", "size", "bits"))
+    section.only(("rate", "exposure_us", "gain", "size", "bits"), CAPTURE_WORDS)
     size = None
     if "size" in section:
         width, height = section.numbers("size", 2, "width, height px")
@@ -205,8 +219,9 @@ def _capture(section: Section) -> Capture:
 
 
 def _world(section: Section) -> Pose:
-    section.only(("position", "orientation"))
+    section.only(("position", "orientation"), WORLD_WORDS)
     position = section.numbers("position", 3, "x, y, z of the camera in the world, m")
+    refuse_millimetres(section, "position", position)
     quat = section.numbers("orientation", 4, "the quaternion x, y, z, w")
     length = float(np.linalg.norm(quat))
     if abs(length - 1.0) > 1e-3:
@@ -217,19 +232,21 @@ def _world(section: Section) -> Pose:
 def _robot(name: str, section: Section, T_world_camera: Pose | None, offset_text: _OffsetText) -> Robot:
     if problem := key_problem(name):
         raise section.error(None, f"the robot's id {name!r} {problem}; it becomes part of a zenoh key")
-    section.only(("leds", "led", "points", "normal"))
+    section.only(("leds", "led", "points", "normal"), ROBOT_WORDS)
     leds = _leds(section)
     axis, radius, offset = np.array([0.0, 0.0, 1.0]), None, None
     if "led" in section:
         led = section.section("led")
-        led.only(("radius", "axis", "offset"))
+        led.only(("radius", "axis", "offset"), LED_WORDS)
         if "axis" in led:
             axis = _direction(led, "axis", "the emission axis in the robot's frame")
         if "radius" in led:
             radius = led.number("radius", above=0)
             if radius > extent(leds) / 4:
                 raise led.error(
-                    "radius", f"{radius:g}, expected m, well below the LEDs' distances ({extent(leds):g} m)"
+                    "radius",
+                    f"{radius:g}, expected m, at most a quarter of the LEDs' extent ({extent(leds) / 4:g} m); is that "
+                    f"mm? For example {radius / 1e3:g}",
                 )
         if "offset" in led:
             file = led.text("offset")
@@ -248,11 +265,11 @@ def _robot(name: str, section: Section, T_world_camera: Pose | None, offset_text
         for key in inner.values:
             if problem := key_problem(key):
                 raise inner.error(None, f"the point's name {key!r} {problem}")
-            points[key] = frozen_array(inner.numbers(key, 3, "x, y, z in the robot's frame, m"), 3)
+            points[key] = _point(inner, key, leds)
     prior = None
     if "normal" in section:
         inner = section.section("normal")
-        inner.only(("world", "within_deg"))
+        inner.only(("world", "within_deg"), NORMAL_WORDS)
         if T_world_camera is None:
             raise section.error("normal", "needs the rig's `world`, the pose of the camera in the world")
         direction = _direction(inner, "world", "where led.axis points, in the world's frame")
@@ -261,6 +278,18 @@ def _robot(name: str, section: Section, T_world_camera: Pose | None, offset_text
             raise inner.error("within_deg", f"{within:g}, expected at most 180")
         prior = NormalPrior(frozen_array(direction, 3), float(np.radians(within)))
     return Robot(name, leds, axis, radius, points, prior, offset)
+
+
+def _point(section: Section, key: str, leds: Floats) -> Floats:
+    point = section.numbers(key, 3, "x, y, z in the robot's frame, m")
+    away, farthest = float(np.linalg.norm(point - leds.mean(axis=0))), FARTHEST_POINT * extent(leds)
+    if away > farthest:
+        raise section.error(
+            key,
+            f"{away:g} m from the LEDs, expected at most {FARTHEST_POINT:g} times their extent ({farthest:g} m); "
+            f"{in_metres(point)}",
+        )
+    return frozen_array(point, 3)
 
 
 def _direction(section: Section, key: str, what: str) -> Floats:
@@ -280,7 +309,8 @@ def _leds(section: Section) -> Floats:
     size = extent(leds)
     if size > LARGEST_M:
         raise section.error(
-            "leds", f"the LEDs are up to {size:g} m apart, expected at most {LARGEST_M:g} m; is that mm?"
+            "leds",
+            f"the LEDs are up to {size:g} m apart, expected at most {LARGEST_M:g} m; {in_metres(rows[0])}",
         )
     spacing = np.linalg.norm(leds[:, None] - leds[None], axis=-1) + np.eye(LEDS) * 1e9
     first, second = (int(i) for i in np.unravel_index(int(np.argmin(spacing)), spacing.shape))

@@ -5,8 +5,9 @@ YAML 1.2 by ruamel.yaml: `no` is a word, `5e-3` a number, duplicate keys are ref
 
 import difflib
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from asterism.protocol.errors import InputError
@@ -81,11 +82,12 @@ class Section:
         path = self.path(key)
         return InputError(f"{self.file}: {path}: {text}" if path else f"{self.file}: {text}")
 
-    def only(self, allowed: Collection[str]) -> None:
-        """Refuse keys that are not in ``allowed``, suggesting the nearest."""
+    def only(self, allowed: Collection[str], words: Mapping[str, str] = MappingProxyType({})) -> None:
+        """Refuse keys that are not in ``allowed``, suggesting what ``words`` has for them, else the nearest."""
         for key in self.values:
             if key not in allowed:
-                near = difflib.get_close_matches(key, allowed, n=1, cutoff=0.5)
+                meant = words.get(key.lower().replace("-", "_").replace(" ", "_"))
+                near = [meant] if meant else difflib.get_close_matches(key.lower(), allowed, n=1, cutoff=0.5)
                 hint = f"did you mean '{near[0]}'? " if near else ""
                 raise self.error(None, f"unknown key '{key}'; {hint}Accepted: {', '.join(allowed)}")
 

@@ -1,116 +1,40 @@
 """Messages drawn into rerun: the same for a recording under review and for a live server.
 
-world/camera/image            the frame, its spots with their fates, names, and residuals (enlarged)
-world/robots/<id>             axes, LEDs and named points of every robot
+robots                        a table: where each robot is, how it stands, how sure that is
+world/origin                  the world's axes, where the rig knows a world
+world/camera                  its axes and name
+world/camera/image            frustum and frame; spots with their fates, plates, names, residuals (enlarged)
+world/robots/<id>             axes, plate, LEDs, named points and name of every robot
+world/alternatives/<id>       the other plate, where two tilts explain the spots
 world/paths/<id>              where it went
-plots/...                     position, residual, latency
+plots/position/<id>/x         m, in the parent frame; likewise y, z
+plots/angles/<id>/roll        degrees, in the parent frame (without a world: in the camera's turned to face the robots,
+                              x right, y up, z towards the camera); likewise pitch, yaw
+plots/residual/<id>           px
+plots/latency                 ms
 states/<id>                   TRACKED, TILT_AMBIGUOUS, IDENTITY_AMBIGUOUS, LOST
 """
 
-import zlib
 from collections import deque
-from struct import pack
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.codec import report_pose
-from asterism.protocol.geometry import Floats
+from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.messages import State
 from asterism.protocol.rig import Rig
+from asterism.recordings import overlay
+from asterism.recordings.plates import TO_THE_CAMERA, plate_outline, roll_pitch_yaw_deg
+from asterism.recordings.png_image import png
+from asterism.recordings.robot_table import robot_table
+from asterism.recordings.scene import STATE_COLOURS, name_place, place_scene, robot_colours
 
 APPLICATION = "asterism"
-RESIDUAL_SCALE = 500.0  # a residual of 0.02 px is drawn 10 px long
-NAME_ABOVE_PX = 70.0  # a name stands that far above its robot
 TRAIL = 600  # positions kept of every robot's path
-AXIS_M = 0.06
-_COLOURS = np.array(
-    [
-        [86, 180, 233], [230, 159, 0], [0, 158, 115], [240, 228, 66], [204, 121, 167],
-        [213, 94, 0], [0, 114, 178], [160, 160, 160],
-    ],
-    np.uint8,
-)  # fmt: skip
-_FATE_COLOURS = {pb.LED: (60, 255, 90), pb.UNEXPLAINED: (255, 210, 40)}
-_CIRCLE = np.array([[np.cos(angle), np.sin(angle)] for angle in np.linspace(0, 2 * np.pi, 17)])  # (17, 2)
-_REJECTED = (255, 70, 70)
-_STATES = {
-    "TRACKED": 0x2E9E4FFF,
-    "TILT_AMBIGUOUS": 0xE0B020FF,
-    "IDENTITY_AMBIGUOUS": 0xB050C0FF,
-    "LOST": 0xD04040FF,
-}
-
-
-def png(image: NDArray[np.uint8]) -> bytes:
-    """An (h, w) grey image as PNG, run-length coded: lossless, quick, and what every viewer shows.
-
-    Source: the PNG specification (W3C), colour type 0, filter 0.
-    """
-    height, width = image.shape
-    rows = np.zeros((height, width + 1), np.uint8)
-    rows[:, 1:] = image
-    packer = zlib.compressobj(1, zlib.DEFLATED, zlib.MAX_WBITS, 9, zlib.Z_RLE)
-    data = packer.compress(rows.tobytes()) + packer.flush()
-
-    def chunk(kind: bytes, body: bytes) -> bytes:
-        return pack(">I", len(body)) + kind + body + pack(">I", zlib.crc32(kind + body))
-
-    head = pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
-
-
-def blueprint(rig: Rig) -> rrb.Blueprint:
-    """Camera and space on the left, plots per robot on the right."""
-    robots = [robot.id for robot in rig.robots]
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(
-                rrb.Spatial2DView(
-                    origin="world/camera/image",
-                    contents="world/camera/image/**",
-                    name="camera: spots, names, residuals",
-                ),
-                rrb.Spatial3DView(
-                    origin="world",
-                    contents=["+ world/**", "- world/camera/image/**"],
-                    name="space",
-                    line_grid=rig.T_world_camera is not None,
-                    eye_controls=_eye(rig),
-                ),
-                row_shares=[1, 1],
-            ),
-            rrb.Vertical(
-                rrb.Tabs(
-                    *(rrb.TimeSeriesView(origin=f"plots/position/{robot}", name=robot) for robot in robots),
-                    name="position, m",
-                ),
-                rrb.TimeSeriesView(origin="plots/residual", name="residual, px"),
-                rrb.TimeSeriesView(origin="plots/latency", name="latency, ms"),
-                rrb.StateTimelineView(origin="states", name="state"),
-                row_shares=[3, 2, 2, 3],
-            ),
-            column_shares=[3, 2],
-        ),
-        rrb.TimePanel(state="collapsed"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.BlueprintPanel(state="hidden"),
-    )
-
-
-def _eye(rig: Rig) -> rrb.EyeControls3D:
-    """Look at the robots from beside the camera, from a little lower."""
-    near, far = rig.range_m or (1.0, 1.5)
-    distance = 0.5 * (near + far)
-    eye, target = np.array([0.45, 0.75, 0.2]) * distance, np.array([0.0, 0.0, distance])
-    up = np.array([0.0, 0.0, -1.0])
-    if rig.T_world_camera is not None:
-        eye, target = rig.T_world_camera.map(eye), rig.T_world_camera.map(target)
-        up = np.array([0.0, 0.0, 1.0])
-    return rrb.EyeControls3D(position=eye, look_target=target, eye_up=up)
+HALF_TURN_DEG = 180.0  # an angle that jumps so far has gone once around
 
 
 class Drawing:
@@ -119,9 +43,14 @@ class Drawing:
     def __init__(self, stream: rr.RecordingStream, rig: Rig) -> None:
         self._stream = stream
         self._rig = rig
+        self._colours = robot_colours(rig)
+        self._outlines = {robot.id: plate_outline(robot) for robot in rig.robots}
+        self._names = {robot.id: name_place(robot) for robot in rig.robots}
+        self._T_camera_parent = (rig.T_world_camera or Pose.identity()).inverse()
         self._trails: dict[str, deque[Floats]] = {robot.id: deque(maxlen=TRAIL) for robot in rig.robots}
         self._states: dict[str, str] = {}
-        self._place_scene()
+        self._angles: dict[str, Floats] = {}
+        place_scene(stream, rig)
 
     def image(self, image: NDArray[np.uint8], time_ns: int, sequence: int) -> None:
         """Show an (h, w) frame."""
@@ -131,11 +60,19 @@ class Drawing:
     def report(self, report: "pb.FrameReport") -> None:
         """Show what one frame told."""
         self._at(report.exposed_ns, report.sequence)
-        self._spots(report)
+        poses = {robot.id: report_pose(robot.pose) for robot in report.robots if robot.HasField("pose")}
+        angles = {robot_id: self._angles_of(pose) for robot_id, pose in poses.items()}
+        self._over_the_image(report, poses)
         for robot in report.robots:
-            self._robot(robot)
-        self._scalar("plots/latency/solve", (report.solved_ns - report.arrived_ns) * 1e-6)
-        self._scalar("plots/latency/published", (report.published_ns - report.exposed_ns) * 1e-6)
+            self._state(robot)
+            self._alternative(robot)
+            if robot.id in poses:
+                self._place(robot.id, poses[robot.id])
+                self._plot(robot, poses[robot.id], angles[robot.id])
+        self._scalar("plots/latency/solving", (report.solved_ns - report.arrived_ns) * 1e-6)
+        self._scalar("plots/latency/exposure_to_network", (report.published_ns - report.exposed_ns) * 1e-6)
+        rows = ((robot, poses.get(robot.id), angles.get(robot.id)) for robot in report.robots)
+        self._stream.log("robots", rr.TextDocument(robot_table(rows), media_type="text/markdown"))
 
     def _at(self, time_ns: int, sequence: int) -> None:
         self._stream.set_time("exposed", timestamp=np.datetime64(time_ns, "ns"))
@@ -144,140 +81,85 @@ class Drawing:
     def _scalar(self, path: str, value: float) -> None:
         self._stream.log(path, rr.Scalars(value))
 
-    def _place_scene(self) -> None:
-        rig, log = self._rig, self._stream.log
-        camera = rig.camera
-        if rig.T_world_camera is None:
-            log("world", rr.ViewCoordinates.RDF, static=True)
-        else:
-            log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-            log(
-                "world/camera",
-                rr.Transform3D(
-                    translation=rig.T_world_camera.position,
-                    quaternion=rr.Quaternion(xyzw=rig.T_world_camera.orientation),
-                ),
-                static=True,
-            )
-        log(
-            "world/camera/image",
-            rr.Pinhole(
-                image_from_camera=camera.matrix,
-                resolution=[camera.width, camera.height],
-                camera_xyz=rr.ViewCoordinates.RDF,
-                image_plane_distance=0.25,
-            ),
-            static=True,
-        )
-        log("plots/latency/solve", rr.SeriesLines(names="solve", colors=[86, 180, 233]), static=True)
-        log(
-            "plots/latency/published",
-            rr.SeriesLines(names="exposure to network", colors=[230, 159, 0]),
-            static=True,
-        )
-        for index, robot in enumerate(rig.robots):
-            colour = _COLOURS[index % len(_COLOURS)]
-            log(f"world/robots/{robot.id}", rr.TransformAxes3D(AXIS_M), static=True)
-            log(
-                f"world/robots/{robot.id}/leds",
-                rr.Points3D(robot.leds, radii=robot.led_radius or 0.0025, colors=colour),
-                static=True,
-            )
-            if robot.points:
-                log(
-                    f"world/robots/{robot.id}/points",
-                    rr.Points3D(
-                        np.array(list(robot.points.values())),
-                        radii=0.004,
-                        colors=[230, 230, 230],
-                        labels=[f"{robot.id}/{name}" for name in robot.points],
-                        show_labels=False,
-                    ),
-                    static=True,
-                )
-            log(f"plots/residual/{robot.id}", rr.SeriesLines(names=robot.id, colors=colour), static=True)
-            for axis, tint in zip("xyz", ([255, 80, 80], [80, 220, 80], [90, 140, 255]), strict=True):
-                log(f"plots/position/{robot.id}/{axis}", rr.SeriesLines(names=axis, colors=tint), static=True)
-            log(
-                f"states/{robot.id}",
-                rr.StateConfiguration(
-                    values=list(_STATES),
-                    labels=list(_STATES),
-                    colors=np.array(list(_STATES.values()), np.uint32),
-                ),
-                static=True,
-            )
+    def _angles_of(self, pose: Pose) -> Floats:
+        turn = pose.rotation if self._rig.T_world_camera is not None else TO_THE_CAMERA @ pose.rotation
+        return roll_pitch_yaw_deg(turn)
 
-    def _spots(self, report: "pb.FrameReport") -> None:
-        spots = report.spots
-        if not spots.x:
-            self._stream.log("world/camera/image/spots", rr.Clear(recursive=True))
+    def _over_the_image(self, report: "pb.FrameReport", poses: dict[str, Pose]) -> None:
+        camera, log = self._rig.camera, self._stream.log
+        edges = {
+            robot: camera.project((self._T_camera_parent @ pose).map(self._outlines[robot]))
+            for robot, pose in poses.items()
+        }
+        texts = {robot.id: _name_of(robot) for robot in report.robots}
+        log("world/camera/image/spots", overlay.spots(report))
+        log("world/camera/image/plates", overlay.plates(edges, self._colours))
+        log("world/camera/image/names", overlay.names(edges, texts, self._colours, camera.height))
+        log("world/camera/image/residuals", overlay.residuals(report))
+
+    def _state(self, robot: "pb.RobotReport") -> None:
+        """What changes with the robot's state: the timeline, its name in space, and whether it is there at all."""
+        state, path = State.Name(robot.state), f"world/robots/{robot.id}"
+        if self._states.get(robot.id) == state:
             return
-        centres = np.column_stack([spots.x, spots.y])
-        names = [
-            f"{report.robots[robot].id} {led}" if robot >= 0 else pb.Fate.Name(fate).lower().replace("_", " ")
-            for robot, led, fate in zip(spots.robot, spots.led, spots.fate, strict=True)
-        ]
-        colours = [_FATE_COLOURS.get(fate, _REJECTED) for fate in spots.fate]
+        self._states[robot.id] = state
+        self._stream.log(f"states/{robot.id}", rr.StateChange(state=state))
+        if robot.HasField("pose"):
+            colour = self._colours[robot.id] if robot.state == pb.TRACKED else STATE_COLOURS[state]
+            name = rr.Points3D(
+                self._names[robot.id],
+                radii=rr.Radius.ui_points(0.5),
+                colors=colour,
+                labels=[_name_of(robot)],
+                show_labels=True,
+            )
+            self._stream.log(f"{path}/name", name)
+            return
+        # No pose: nothing is drawn where the robot was, and no line of a plot leads over the gap.
+        self._stream.log(path, rr.Transform3D(scale=[0.0, 0.0, 0.0]))
+        self._stream.log(f"{path}/name", rr.Clear(recursive=False))
+        for plot in ("position", "angles", "residual"):
+            self._stream.log(f"plots/{plot}/{robot.id}", rr.Clear(recursive=True))
+
+    def _place(self, robot: str, pose: Pose) -> None:
         self._stream.log(
-            "world/camera/image/spots",
-            # Half a pixel: rerun's image begins at the corner of the top-left pixel, ours at its centre.
-            rr.LineStrips2D(
-                (centres + 0.5)[:, None] + _CIRCLE * (np.array(spots.radius) + 5.0)[:, None, None],
-                radii=0.6,
-                colors=colours,
-                labels=names,
+            f"world/robots/{robot}",
+            rr.Transform3D(translation=pose.position, quaternion=rr.Quaternion(xyzw=pose.orientation), scale=1.0),
+        )
+        trail = self._trails[robot]
+        trail.append(pose.position)
+        if len(trail) % 5 == 0 or len(trail) == TRAIL:
+            path = rr.LineStrips3D([np.array(trail)], colors=self._colours[robot], radii=rr.Radius.ui_points(1.0))
+            self._stream.log(f"world/paths/{robot}", path)
+
+    def _alternative(self, robot: "pb.RobotReport") -> None:
+        path = f"world/alternatives/{robot.id}"
+        if not robot.HasField("alternative"):
+            self._stream.log(path, rr.Clear(recursive=False))
+            return
+        edge = report_pose(robot.alternative.pose).map(self._outlines[robot.id])
+        self._stream.log(
+            path,
+            rr.LineStrips3D(
+                [np.vstack([edge, edge[:1]])],
+                radii=rr.Radius.ui_points(1.0),
+                colors=STATE_COLOURS["TILT_AMBIGUOUS"],
+                labels=[f"or {robot.id} so, {robot.alternative.odds:.3g} times less likely"],
                 show_labels=False,
             ),
         )
-        tags, places, vectors, origins = [], [], [], []
-        for robot in report.robots:
-            if not robot.HasField("pose"):
-                continue
-            own = centres[list(robot.spot)]
-            tags.append(robot.id)
-            places.append([own[:, 0].mean(), own[:, 1].min() - NAME_ABOVE_PX])
-            residuals = np.column_stack([robot.residual_x, robot.residual_y]) * RESIDUAL_SCALE
-            vectors.append(residuals)
-            origins.append(own + 0.5)
-        if not tags:
-            self._stream.log("world/camera/image/names", rr.Clear(recursive=False))
-            self._stream.log("world/camera/image/residuals", rr.Clear(recursive=False))
-            return
-        self._stream.log(
-            "world/camera/image/names",
-            rr.Points2D(places, radii=0.1, colors=[255, 255, 255], labels=tags, show_labels=True),
-        )
-        self._stream.log(
-            "world/camera/image/residuals",
-            rr.Arrows2D(
-                vectors=np.concatenate(vectors),
-                origins=np.concatenate(origins),
-                colors=[255, 255, 255],
-                radii=0.7,
-            ),
-        )
 
-    def _robot(self, robot: "pb.RobotReport") -> None:
-        state = State.Name(robot.state)
-        if self._states.get(robot.id) != state:
-            self._states[robot.id] = state
-            self._stream.log(f"states/{robot.id}", rr.StateChange(state=state))
-        path = f"world/robots/{robot.id}"
-        if not robot.HasField("pose"):
-            # No pose: nothing is drawn where the robot was.
-            self._stream.log(path, rr.Transform3D.from_fields(scale=0.0))
-            return
-        pose = report_pose(robot.pose)
-        self._stream.log(
-            path,
-            rr.Transform3D(translation=pose.position, quaternion=rr.Quaternion(xyzw=pose.orientation), scale=1.0),
-        )
-        trail = self._trails[robot.id]
-        trail.append(pose.position)
-        colour = _COLOURS[[entry.id for entry in self._rig.robots].index(robot.id) % len(_COLOURS)]
-        if len(trail) % 5 == 0 or len(trail) == TRAIL:
-            self._stream.log(f"world/paths/{robot.id}", rr.LineStrips3D([np.array(trail)], colors=colour, radii=0.0015))
+    def _plot(self, robot: "pb.RobotReport", pose: Pose, angles: Floats) -> None:
         for axis, value in zip("xyz", pose.position.tolist(), strict=True):
             self._scalar(f"plots/position/{robot.id}/{axis}", value)
+        turned = np.abs(angles - self._angles.get(robot.id, angles))
+        for name, value, jump in zip(("roll", "pitch", "yaw"), angles.tolist(), turned.tolist(), strict=True):
+            path = f"plots/angles/{robot.id}/{name}"
+            self._stream.log(path, rr.Scalars(value) if jump < HALF_TURN_DEG else rr.Clear(recursive=False))
+        self._angles[robot.id] = angles
         self._scalar(f"plots/residual/{robot.id}", robot.rms_px)
+
+
+def _name_of(robot: "pb.RobotReport") -> str:
+    """Its id, and its state where it is not simply tracked."""
+    return robot.id if robot.state == pb.TRACKED else f"{robot.id}: {State.Name(robot.state).replace('_', ' ')}"

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from asterism.protocol.codec import decode_image
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import Kind, Message
+from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, parse_rig
 from asterism.recordings.index import begins_as_mcap, is_complete
 from asterism.recordings.series import OFFSET_KEY
@@ -43,7 +44,7 @@ class Recording:
                 raise InputError(f"{file}: is no MCAP file, expected what asterism recorded")
             if not is_complete(file):
                 raise InputError(
-                    f"{file}: was cut off (its server was killed?); run this first: asterism recover {path}"
+                    f"{file}: was cut off (its server was killed?); run this first: {typed('recover', path)}"
                 )
         self.metadata = self._read_metadata()
 

@@ -7,6 +7,7 @@ then whole messages, and both are counted. When the disk is full the recording e
 import contextlib
 import os
 import queue
+import shutil
 import threading
 import time
 from collections.abc import Sequence
@@ -88,6 +89,18 @@ class Recorder:
         self._queue: queue.Queue[_Item | None] = queue.Queue(QUEUE)
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
+
+    @property
+    def bytes_written(self) -> int:
+        """How much is on the disk by now."""
+        return self._poses.bytes_written + self._frames.bytes_written
+
+    def bytes_free(self) -> int:
+        """How much room the disk has left, 0 where it cannot be asked."""
+        try:
+            return shutil.disk_usage(self.folder).free
+        except OSError:
+            return 0
 
     def write(self, messages: Sequence[Message], image: NDArray[np.uint8] | None, time_ns: int, sequence: int) -> None:
         """Record messages and, if it is its turn, the image they came from."""

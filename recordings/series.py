@@ -85,7 +85,13 @@ class Series:
         self._path = folder
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._messages = 0
+        self._finished_bytes = 0
+
+    @property
+    def bytes_written(self) -> int:
+        """How much all files hold by now."""
+        output = self._output
+        return self._finished_bytes + (output.whole if output is not None else 0)
 
     def add(self, message: Message) -> None:
         """Append a message. Raises OSError when the disk does not take it; call `abandon` then."""
@@ -115,6 +121,7 @@ class Series:
         whole = self._output.whole
         self._output.close()
         self._writer = self._output = None
+        self._finished_bytes += whole
         if whole:
             rebuild_index(self._path)
         else:
@@ -126,6 +133,7 @@ class Series:
         self._writer.finish()
         self._output.push()
         self._output.close()
+        self._finished_bytes += self._output.whole
         self._writer = self._output = None
 
     def _next_file(self, time_ns: int) -> None:

@@ -1,37 +1,78 @@
 """The command line: `asterism COMMAND ...`. Only what a command needs is imported, so `--help` is there at once."""
 
+import argparse
+import logging
+import shlex
 import sys
+import time
 from collections.abc import Sequence
 
+from asterism import __version__
 from asterism.protocol.errors import InputError, WorldError
+from asterism.server.command.installed import missing_module, older_install
 from asterism.server.command.parser import module_of, parser
+from asterism.server.output import NOTHING
+from asterism.server.service.say import complain, say
+from asterism.server.service.telling import Telling, telling
+
+_LOG = logging.getLogger(__name__)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code: 0 done, 1 the world failed, 2 the user's input is wrong."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    try:
-        options = parser(words).parse_args(words)
-        code: int = module_of(options.command).run(options)
-    except InputError as error:
-        print(f"asterism: {error}", file=sys.stderr)
-        return 2
-    except WorldError as error:
-        print(f"asterism: {error}", file=sys.stderr)
-        return 1
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.startswith("asterism"):
-            raise
-        print(
-            f"asterism: {words[0]} needs {error.name}; install it with: pip install 'asterism-localization[all]'",
-            file=sys.stderr,
-        )
-        return 2
-    except BrokenPipeError:
-        return 1
-    except KeyboardInterrupt:
-        return 130
+    for stream in (sys.stdout, sys.stderr):
+        # Names of files may be no UTF-8, and terminals may know less than UTF-8.
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+    with telling() as told:
+        options = argparse.Namespace(out=None)
+        try:
+            parser(words).parse_args(words, options)
+            return _run(options, words, told)
+        except (InputError, WorldError, OSError, MemoryError, ModuleNotFoundError, KeyboardInterrupt) as error:
+            code, text = _failure(error, words)
+            _LOG.debug("how it came about", exc_info=error)
+            notes = getattr(error, "__notes__", [])
+            if isinstance(error, KeyboardInterrupt) and not notes and options.out and not options.out.exists():
+                notes = [NOTHING]
+            if text:
+                complain("; ".join([text, *notes]))
+            return code
+
+
+def _run(options: argparse.Namespace, words: list[str], told: Telling) -> int:
+    told.choose(options.quiet, options.verbose, options.log)
+    _LOG.debug("asterism %s, Python %s: asterism %s", __version__, sys.version.split()[0], shlex.join(words))
+    if older := older_install(sys.path):
+        say(older)
+    began = time.monotonic()
+    code: int = module_of(options.command).run(options)
+    _LOG.debug("done after %.1f s, exit code %d", time.monotonic() - began, code)
     return code
+
+
+def _failure(error: BaseException, words: list[str]) -> tuple[int, str]:
+    """The exit code of what ended a command, and the sentence about it; an error of ours is raised again."""
+    match error:
+        case InputError():
+            return 2, str(error)
+        case WorldError():
+            return 1, str(error)
+        case ModuleNotFoundError():
+            if text := missing_module(error.name or "", words):
+                return 2, text
+            raise error
+        case KeyboardInterrupt():
+            return 130, "interrupted"
+        case BrokenPipeError():
+            return 1, ""
+        case MemoryError():
+            return 1, "there is not enough memory for this"
+        case OSError():
+            name = f"{error.filename}: " if error.filename else ""
+            return 1, f"{name}{error.strerror or error}"
+    raise error
 
 
 if __name__ == "__main__":

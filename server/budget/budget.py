@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from asterism.protocol.constellation import LEDS
 from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import Rig, Robot
-from asterism.server.budget.uncertainty import ESTIMATOR_NOISE, Uncertainty
+from asterism.server.budget.uncertainty import ESTIMATOR_NOISE, LedError, Uncertainty
 from asterism.server.centres.centre_noise import centre_covariances
 from asterism.server.pose.lens import lens_of, undistort
-from asterism.server.pose.solve import LEAST_SIGMA_PX
+from asterism.server.pose.matched import LEAST_SIGMA_PX
 from asterism.server.simulation.simulate import DEFAULT_LED_RADIUS, Look
 
 SOURCES = (
@@ -100,6 +100,7 @@ def image_factors(
     positions = np.zeros((n, LEDS, 2, LEDS, 3))
     for led in range(LEDS):
         positions[:, led, :, led] = by_led[:, led]
+    leds = uncertainty.leds_of(robot.id)
     steps = [replace(camera, distortion=camera.distortion * (1.0 + sign * STEP)).project(points) for sign in (1, -1)]
     bent = (steps[0] - steps[1]) / (2.0 * STEP)
     shift = offset_shifts(robot, poses, uncertainty.offset_m)
@@ -111,12 +112,22 @@ def image_factors(
         "centre noise": _blocks(noise),
         "quantisation": _blocks(rounding),
         "centre bias": np.concatenate(bias, axis=-1),
-        "LED positions": uncertainty.led_position_m * positions.reshape(n, 2 * LEDS, 3 * LEDS),
+        "LED positions": _led_causes(positions, by_led @ (robot.leds - robot.leds.mean(axis=0))[:, :, None], leds),
         "LED angular offset": np.einsum("nlij,nlj->nli", by_point, shift).reshape(n, 2 * LEDS, 1),
         "focal length": uncertainty.focal_relative * (pixels - camera.matrix[:2, 2]).reshape(n, 2 * LEDS, 1),
         "principal point": uncertainty.principal_point_px * point,
         "distortion": uncertainty.distortion_relative * bent.reshape(n, 2 * LEDS, 1),
     }
+
+
+def _led_causes(positions: Floats, larger: Floats, leds: LedError) -> Floats:
+    """Factor of the LEDs' places: each alone, and where the size of all is not sure, all together; px per m
+    (n, 6, 2, 6, 3), and px of a constellation twice as large (n, 6, 2, 1).
+    """
+    each = leds.position_m * positions.reshape(len(positions), 2 * LEDS, 3 * LEDS)
+    if leds.size_relative == 0.0:
+        return each
+    return np.concatenate([each, leds.size_relative * larger.reshape(len(positions), 2 * LEDS, 1)], axis=-1)
 
 
 def offset_shifts(robot: Robot, poses: Poses, offset_m: float) -> Floats:

@@ -15,15 +15,29 @@ from asterism.server.budget.truth import Bin, Compared
 from asterism.server.budget.uncertainty import FILE, Uncertainty
 from asterism.server.budget.workspace import Budget
 
-_STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #1b1b1b; max-width: 76rem; margin: 2rem auto; padding: 0 1.2rem; }
-h1 { font-size: 1.7rem; margin-bottom: .2rem; } h2 { font-size: 1.25rem; margin-top: 2.4rem; }
-table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums; font-size: .93rem; }
-th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #ddd; vertical-align: top; }
-th { border-bottom: 2px solid #888; } th:first-child, td:first-child, td.text, th.text { text-align: left; }
-tr.all td { font-weight: 700; border-top: 2px solid #888; }
-figure { margin: 1.4rem 0 2.2rem; } figcaption { color: #444; max-width: 60rem; } img { max-width: 100%; height: auto; }
-.given { color: #00603f; font-weight: 600; } .assumed { color: #9a4a00; } p { max-width: 60rem; }
+_PHONE = "(max-width: 640px)"
+_STYLE = f"""
+body {{ font: 100%/1.5 system-ui, sans-serif; color: #1b1b1b; max-width: 76rem; margin: 1.5rem auto;
+  padding: 0 max(1rem, env(safe-area-inset-left)); -webkit-text-size-adjust: 100%; }}
+h1 {{ font-size: 1.6rem; line-height: 1.25; overflow-wrap: anywhere; margin-bottom: .2rem; }}
+h2 {{ font-size: 1.25rem; margin-top: 2.2rem; }}
+p, figcaption {{ max-width: 60rem; overflow-wrap: anywhere; }}
+.wide {{ overflow-x: auto; margin: 1rem 0; }}
+table {{ border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .93rem; }}
+th, td {{ padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #ddd; vertical-align: top; }}
+th {{ border-bottom: 2px solid #888; white-space: nowrap; }}
+th:first-child, td:first-child, td.text, th.text {{ text-align: left; }}
+.numbers th:first-child, .numbers td:first-child {{ position: sticky; left: 0; background: #fff; white-space: nowrap; }}
+tr.all td {{ font-weight: 700; border-top: 2px solid #888; }}
+figure {{ margin: 1.4rem 0 2rem; }} figcaption {{ color: #444; }} img {{ max-width: 100%; height: auto; }}
+.given {{ color: #00603f; font-weight: 600; }} .assumed {{ color: #9a4a00; }}
+@media {_PHONE} {{
+  th, td {{ padding: .25rem .3rem; font-size: .9em; }}
+  .sources tr {{ display: block; border-bottom: 1px solid #ddd; padding: .4rem 0; }}
+  .sources th {{ display: none; }} .sources td {{ display: block; border: 0; padding: 0; }}
+  .sources td:first-child {{ font-weight: 600; }}
+  picture img {{ width: 100%; }}
+}}
 """
 
 
@@ -73,11 +87,6 @@ def assumptions(uncertainty: Uncertainty, light: Light, rig: Rig) -> list[tuple[
     """For every source its name, what is taken for one standard deviation, and whether that is given or assumed."""
     look, u = light.look, uncertainty
 
-    def origin(key: str) -> str:
-        if key in u.calibrated:
-            return "from the calibration"
-        return "given" if key in u.given else "assumed"
-
     light_text = (
         f"Cramer-Rao bound at the LED's size in the image times {np.sqrt(light.factor):.2f} "
         f"({look.brightness:g} grey levels, blur {look.psf_px:g} px, read noise {look.read_noise:g}, "
@@ -85,7 +94,7 @@ def assumptions(uncertainty: Uncertainty, light: Light, rig: Rig) -> list[tuple[
         f"{'' if all(r.led_radius for r in rig.robots) else '; LED radius 2.5 mm where the rig does not say'})"
     )
     centre = f"{u.centre_px:g} px per axis" if u.centre_px is not None else light_text
-    noise_origin = "from the frames" if light.measured and u.centre_px is None else origin("centre_px")
+    noise_origin = "from the frames" if light.measured and u.centre_px is None else u.origin("centre_px")
     bent = "" if np.any(rig.camera.distortion) else "; this lens has none"
     eccentric = all(robot.led_radius for robot in rig.robots)
     return [
@@ -99,13 +108,13 @@ def assumptions(uncertainty: Uncertainty, light: Light, rig: Rig) -> list[tuple[
             "centre bias",
             f"{u.bias_px:g} px per axis"
             + ("" if eccentric else "; perspective eccentricity, not compensated without led.radius"),
-            origin("bias_px"),
+            u.origin("bias_px"),
         ),
-        ("LED positions", f"{u.led_position_m * 1e3:g} mm per axis", origin("led_position_m")),
-        ("LED angular offset", f"{u.offset_m * 1e3:g} mm at 45 degrees, all LEDs alike", origin("offset_m")),
-        ("focal length", f"{u.focal_relative:.3%}", origin("focal_relative")),
-        ("principal point", f"{u.principal_point_px:g} px per axis", origin("principal_point_px")),
-        ("distortion", f"{u.distortion_relative:.2%} of its displacements{bent}", origin("distortion_relative")),
+        ("LED positions", *_leds(u, rig)),
+        ("LED angular offset", f"{u.offset_m * 1e3:g} mm at 45 degrees, all LEDs alike", u.origin("offset_m")),
+        ("focal length", f"{u.focal_relative:.3%}", u.origin("focal_relative")),
+        ("principal point", f"{u.principal_point_px:g} px per axis", u.origin("principal_point_px")),
+        ("distortion", f"{u.distortion_relative:.2%} of its displacements{bent}", u.origin("distortion_relative")),
     ]
 
 
@@ -115,14 +124,27 @@ def _robots(all_of_them: int, looked_at: int, names: str) -> str:
     return f"{all_of_them} robots, {looked_at} of them looked at ({escape(names)})"
 
 
+def _leds(uncertainty: Uncertainty, rig: Rig) -> tuple[str, str]:
+    """What is taken for the LEDs' positions, and where that is from; robot by robot where they differ."""
+    known = {robot.id: uncertainty.leds_of(robot.id) for robot in rig.robots}
+    what, by = [], []
+    for each in dict.fromkeys(known.values()):
+        names = ", ".join(name for name, error in known.items() if error == each)
+        size = f", {each.size_relative:.2%} of their size" if each.size_relative else ""
+        which = f" ({names})" if len(set(known.values())) > 1 else ""
+        what.append(f"{each.position_m * 1e3:.3g} mm per axis{size}{which}")
+        by.append(f"{each.by}{which}")
+    return "; ".join(what), "; ".join(by)
+
+
 def _sources(uncertainty: Uncertainty, light: Light, rig: Rig) -> str:
     rows = [
         f'<tr><td>{escape(name)}</td><td class="text">{escape(what)}</td>'
-        f'<td class="text {"assumed" if origin == "assumed" else "given"}">{escape(origin)}</td></tr>'
+        f'<td class="text {"assumed" if "assumed" in origin else "given"}">{escape(origin)}</td></tr>'
         for name, what, origin in assumptions(uncertainty, light, rig)
     ]
     head = '<tr><th>source</th><th class="text">one standard deviation</th><th class="text">origin</th></tr>'
-    return f"<table>{head}{''.join(rows)}</table>"
+    return _scrolled("sources", f"{head}{''.join(rows)}")
 
 
 def _table(budget: Budget, row: int) -> str:
@@ -130,7 +152,12 @@ def _table(budget: Budget, row: int) -> str:
     lines = [_row(name, np.sqrt(variance), "") for name, variance in zip(SOURCES, variances, strict=True)]
     lines.append(_row("all together", np.sqrt(variances.sum(axis=0)), "all"))
     head = "".join(f"<th>{name}, {unit}</th>" for name, unit in zip(COMPONENTS, UNITS, strict=True))
-    return f"<table><tr><th>at {budget.distances[row]:.2f} m</th>{head}</tr>{''.join(lines)}</table>"
+    return _scrolled("numbers", f"<tr><th>at {budget.distances[row]:.2f} m</th>{head}</tr>{''.join(lines)}")
+
+
+def _scrolled(kind: str, rows: str) -> str:
+    """A table that is moved sideways on its own where the page is narrower than it."""
+    return f'<div class="wide"><table class="{kind}">{rows}</table></div>'
 
 
 def _row(name: str, sigmas: Floats, kind: str) -> str:
@@ -151,7 +178,7 @@ def _measured(compared: Compared, bins: list[Bin], what: str) -> list[str]:
     return [
         f"<p>{escape(what)}: {len(compared.errors)} sightings, {compared.lost} lost, {compared.flips} with the wrong "
         "one of two tilts (left out below). Each cell: measured RMS / predicted one sigma.</p>",
-        f"<table><tr><th>distance</th><th>sightings</th>{head}</tr>{''.join(rows)}</table>",
+        _scrolled("numbers", f"<tr><th>distance</th><th>sightings</th>{head}</tr>{''.join(rows)}"),
         f"<p>Squared error weighted by the budget&#8217;s covariance averages {whole:.1f}, by the chain&#8217;s own "
         f"{own:.1f}; 6 is honest. One rig is one throw of its systematic errors: its measured errors lie about the "
         "predicted ones, more or less, and only many rigs agree with them on average.</p>",
@@ -159,8 +186,12 @@ def _measured(compared: Compared, bins: list[Bin], what: str) -> list[str]:
 
 
 def _figure(plot: Plot) -> str:
-    data = base64.b64encode(plot.png).decode("ascii")
     caption = escape(plot.caption)
     return (
-        f'<figure><img src="data:image/png;base64,{data}" alt="{caption}"><figcaption>{caption}</figcaption></figure>'
+        f'<figure><picture><source media="{_PHONE}" srcset="{_data(plot.narrow)}">'
+        f'<img src="{_data(plot.png)}" alt="{caption}"></picture><figcaption>{caption}</figcaption></figure>'
     )
+
+
+def _data(png: bytes) -> str:
+    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"

@@ -1,7 +1,9 @@
 """The plots of an error budget, as PNG."""
 
 import io
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,17 +22,31 @@ MARKS = "ovs^DPX*"
 UNITS = ("mm", "mm", "mm", "deg", "deg", "deg")
 SCALES = np.array([1e3, 1e3, 1e3, *[180.0 / np.pi] * 3])  # from m and rad
 DECADES = 4.0  # below the largest value: what is less is nothing
+LEGEND = 1.0  # inches of height for what stands under the panels
 FLAT = 0.15  # colours span at least this share of the mean to either side
-DPI = 100
+
+
+class Sheet(NamedTuple):
+    """What panels are laid out on: how many side by side, the sheet's width and a panel's height in inches."""
+
+    columns: int
+    width: float
+    panel: float
+    dpi: int
+
+
+WIDE = Sheet(3, 12.0, 3.5, 100)
+NARROW = Sheet(1, 4.2, 2.6, 160)  # as wide as a phone's page, letters as large
 
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """A plot: the file's name, what it shows, and the bytes of the PNG."""
+    """A plot: the file's name, what it shows, and the bytes of the PNG; ``narrow``: the same for a phone."""
 
     name: str
     caption: str
     png: bytes
+    narrow: bytes
 
 
 def plots_of(rig: Rig, budget: Budget, compared: Compared | None, bins: list[Bin]) -> list[Plot]:
@@ -38,57 +54,70 @@ def plots_of(rig: Rig, budget: Budget, compared: Compared | None, bins: list[Bin
     near, far = budget.distances[0], budget.distances[-1]
     domain = f"RMS over tilts from {LEAST_TILT:g} to 60 degrees, their directions, and the robots"
     plots = [
-        Plot(
+        _plot(
             "distance.png",
             f"Error (one sigma) against distance from {near:.2f} to {far:.2f} m, each source alone and all together. "
             f"{domain}, and nine places in the image.",
-            _png(_lines(budget.distances, budget.by_distance, "distance along the optical axis, m", True)),
+            lambda sheet: _lines(
+                sheet, budget.distances, budget.by_distance, "distance along the optical axis, m", log=True
+            ),
         ),
-        Plot(
+        _plot(
             "shares.png",
             "Share of every source in the variance of each component, near, in the middle and far.",
-            _png(_shares(budget)),
+            lambda sheet: _shares(sheet, budget),
         ),
-        Plot(
+        _plot(
             "place.png",
             f"Error (one sigma) of all sources together against the place in the image, at {budget.middle:.2f} m. "
             f"{domain}.",
-            _png(_places(rig, budget)),
+            lambda sheet: _places(sheet, rig, budget),
         ),
-        Plot(
+        _plot(
             "tilt.png",
             f"Error (one sigma) against the plate's tilt to the line of sight, at {budget.middle:.2f} m. Grey: below "
             f"{LEAST_TILT:g} degrees, where rx and ry depend on the spots to second order: first order says too much.",
-            _png(_lines(np.array(ALL_TILTS), budget.by_tilt, "tilt, degrees", False)),
+            lambda sheet: _lines(sheet, np.array(ALL_TILTS), budget.by_tilt, "tilt, degrees", log=False),
         ),
     ]
     if compared is not None:
         plots.append(
-            Plot(
+            _plot(
                 "measured.png",
                 "Measured errors beside the budget at the same poses: every sighting (dots), their RMS by distance "
                 "with its statistical uncertainty (points), and the predicted one sigma (line).",
-                _png(_measured(compared, bins)),
+                lambda sheet: _measured(sheet, compared, bins),
             )
         )
     return plots
 
 
-def _png(figure: Figure) -> bytes:
+def _plot(name: str, caption: str, draw: Callable[[Sheet], Figure]) -> Plot:
+    return Plot(name, caption, _png(draw(WIDE), WIDE), _png(draw(NARROW), NARROW))
+
+
+def _png(figure: Figure, sheet: Sheet) -> bytes:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI)
+    figure.savefig(buffer, format="png", dpi=sheet.dpi)
     return buffer.getvalue()
 
 
-def _panels(width: float = 12.0, height: float = 7.2, sharex: bool = True) -> tuple[Figure, list[Axes]]:
-    """A figure of six panels, one a component."""
-    figure = Figure(figsize=(width, height), layout="constrained")
-    panels = figure.subplots(2, 3, sharex=sharex)
-    return figure, list(panels.ravel())
+def _panels(sheet: Sheet, count: int, panel: float | None = None) -> tuple[Figure, list[Axes]]:
+    """A figure of panels one abscissa is enough for; ``panel``: another height, inches."""
+    rows = count // sheet.columns
+    height = rows * (panel or sheet.panel) + LEGEND
+    figure = Figure(figsize=(sheet.width, height), layout="constrained")
+    return figure, list(np.ravel(figure.subplots(rows, sheet.columns, sharex=True)))
 
 
-def _lines(places: Floats, variances: Floats, along: str, log: bool) -> Figure:
-    figure, panels = _panels()
+def _legend(figure: Figure, panel: Axes, sheet: Sheet, wide: int) -> None:
+    """Under the panels, where it covers nothing; ``wide``: its columns on a wide sheet."""
+    columns = wide if sheet.columns > 1 else 2
+    figure.legend(*panel.get_legend_handles_labels(), loc="outside lower center", ncols=columns, frameon=False)
+
+
+def _lines(sheet: Sheet, places: Floats, variances: Floats, along: str, *, log: bool) -> Figure:
+    figure, panels = _panels(sheet, len(COMPONENTS))
     sigmas = np.sqrt(variances) * SCALES
     together = np.sqrt(variances.sum(axis=1)) * SCALES
     for k, panel in enumerate(panels):
@@ -106,16 +135,20 @@ def _lines(places: Floats, variances: Floats, along: str, log: bool) -> Figure:
             ticks = [t for t in MaxNLocator(6).tick_values(*places[[0, -1]]) if places[0] <= t <= places[-1]]
             panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
             panel.xaxis.set_minor_formatter(NullFormatter())
-        _finish(panel, k, f"{COMPONENTS[k]}, {UNITS[k]}", along)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False)
+        _finish(panel, k, f"{COMPONENTS[k]}, {UNITS[k]}")
+    _name_abscissae(panels, sheet, along)
+    _legend(figure, panels[0], sheet, wide=5)
     return figure
 
 
-def _finish(panel: Axes, k: int, across: str, along: str) -> None:
+def _name_abscissae(panels: list[Axes], sheet: Sheet, along: str) -> None:
+    for panel in panels[-sheet.columns :]:
+        panel.set_xlabel(along)
+
+
+def _finish(panel: Axes, k: int, across: str) -> None:
     panel.set_ylabel(across)
     panel.set_title(COMPONENTS[k], loc="left", fontweight="bold")
-    if k >= 3:
-        panel.set_xlabel(along)
     if panel.get_yscale() == "log":
         panel.yaxis.set_major_locator(LogLocator(numticks=8))
         panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -124,9 +157,8 @@ def _finish(panel: Axes, k: int, across: str, along: str) -> None:
     panel.grid(visible=True, which="minor", alpha=0.12)
 
 
-def _shares(budget: Budget) -> Figure:
-    figure = Figure(figsize=(12.0, 4.2), layout="constrained")
-    panels = figure.subplots(1, 3, sharey=True)
+def _shares(sheet: Sheet, budget: Budget) -> Figure:
+    figure, panels = _panels(sheet, 3)
     for panel, row in zip(panels, (0, len(budget.distances) // 2, -1), strict=True):
         variances = budget.by_distance[row]
         shares = 100.0 * variances / np.maximum(variances.sum(axis=0), 1e-300)
@@ -151,17 +183,20 @@ def _shares(budget: Budget) -> Figure:
         panel.set_yticks(range(len(COMPONENTS)), COMPONENTS)
         for k, unit in enumerate(UNITS):
             panel.text(102, k, f"{together[k]:.3g} {unit}", va="center", fontsize=9)
-        panel.set(xlim=(0, 100), xlabel="share of the variance, %")
+        panel.set(xlim=(0, 100))
+        panel.invert_yaxis()
         panel.set_title(f"{budget.distances[row]:.2f} m", loc="left", fontweight="bold")
         for side in ("top", "right"):
             panel.spines[side].set_visible(False)
-    panels[0].invert_yaxis()
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    _name_abscissae(panels, sheet, "share of the variance, %")
+    _legend(figure, panels[0], sheet, wide=4)
     return figure
 
 
-def _places(rig: Rig, budget: Budget) -> Figure:
-    figure, panels = _panels(13.0, 7.6)
+def _places(sheet: Sheet, rig: Rig, budget: Budget) -> Figure:
+    # As high as the image is in what the colour bars leave of the width.
+    high = 0.7 * sheet.width / sheet.columns * rig.camera.height / rig.camera.width + 0.5
+    figure, panels = _panels(sheet, len(COMPONENTS), high)
     together = np.sqrt(budget.by_place.sum(axis=2)) * SCALES
     for k, panel in enumerate(panels):
         # What hardly changes shall not look as if it did.
@@ -171,18 +206,18 @@ def _places(rig: Rig, budget: Budget) -> Figure:
             "vmax": max(np.nanmax(together[..., k]), (1.0 + FLAT) * mean),
         }
         image = panel.pcolormesh(budget.across, budget.down, together[..., k], shading="nearest", **limits)
-        figure.colorbar(image, ax=panel, label=f"{COMPONENTS[k]}, {UNITS[k]}", shrink=0.85)
+        bar = panel.inset_axes((1.04, 0.0, 0.05, 1.0))
+        figure.colorbar(image, cax=bar, label=f"{COMPONENTS[k]}, {UNITS[k]}")
         panel.set(xlim=(-0.5, rig.camera.width - 0.5), ylim=(rig.camera.height - 0.5, -0.5), aspect="equal")
         panel.set_title(COMPONENTS[k], loc="left", fontweight="bold")
-        if k >= 3:
-            panel.set_xlabel("column, px")
-        if k % 3 == 0:
+        if k % sheet.columns == 0:
             panel.set_ylabel("row, px")
+    _name_abscissae(panels, sheet, "column, px")
     return figure
 
 
-def _measured(compared: Compared, bins: list[Bin]) -> Figure:
-    figure, panels = _panels(12.0, 7.2)
+def _measured(sheet: Sheet, compared: Compared, bins: list[Bin]) -> Figure:
+    figure, panels = _panels(sheet, len(COMPONENTS))
     middles = np.array([part.distance for part in bins])
     counts = np.array([part.count for part in bins])
     for k, panel in enumerate(panels):
@@ -203,6 +238,7 @@ def _measured(compared: Compared, bins: list[Bin]) -> Figure:
         )
         panel.set_yscale("log")
         panel.set_ylim(bottom=0.02 * min(measured.min(), predicted.min()))
-        _finish(panel, k, f"|{COMPONENTS[k]} error|, {UNITS[k]}", "distance along the optical axis, m")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+        _finish(panel, k, f"|{COMPONENTS[k]} error|, {UNITS[k]}")
+    _name_abscissae(panels, sheet, "distance along the optical axis, m")
+    _legend(figure, panels[0], sheet, wide=3)
     return figure

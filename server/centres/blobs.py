@@ -8,15 +8,9 @@ from numpy.typing import NDArray
 from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import Fate
 from asterism.server.centres.centre import ESTIMATOR_NUMBERS, refine_centres
-from asterism.server.segmentation.background import BLOCK_ROWS
-from asterism.server.segmentation.components import COMPONENT_COLUMNS, hot_width
-from asterism.server.segmentation.segment import describe, segment
-from asterism.server.segmentation.spots import SPOT_COLUMNS
+from asterism.server.segmentation.segment import Scratch, describe, segment
 
 Ints = NDArray[np.int64]
-
-MOST_RUNS = 60_000
-MOST_SPOTS = 4_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,19 +41,6 @@ class Blobs:
         return np.flatnonzero((self.fates == Fate.UNEXPLAINED) | (self.fates == Fate.LED))
 
 
-class Scratch:
-    """Work arrays for frames of one size, reused so that no frame pays for fresh memory."""
-
-    def __init__(self, height: int, width: int) -> None:
-        blocks = (height + BLOCK_ROWS - 1) // BLOCK_ROWS
-        self.thresholds = np.empty((blocks, width), np.uint8)
-        self.hot = np.zeros(hot_width(width), np.uint8)
-        self.runs = np.empty((MOST_RUNS, 3), np.int32)
-        self.parent = np.empty(MOST_RUNS, np.int32)
-        self.components = np.empty((MOST_SPOTS, COMPONENT_COLUMNS), np.int32)
-        self.spots = np.empty((MOST_SPOTS, SPOT_COLUMNS))
-
-
 def find_blobs(
     image: NDArray[np.uint8],
     largest_radius_px: float,
@@ -71,10 +52,7 @@ def find_blobs(
 
     ``masks`` (m, 4) are x0, y0, x1, y1 px inclusive; ``estimator`` is one of protocol.rig.ESTIMATORS.
     """
-    n = segment(
-        image, largest_radius_px, masks, scratch.thresholds, scratch.hot, scratch.runs,
-        scratch.parent, scratch.components, scratch.spots,
-    )  # fmt: skip
+    n = segment(image, largest_radius_px, masks, scratch)
     spots = scratch.spots[:n].copy()
     centres, covariances = np.empty((n, 2)), np.empty((n, 3))
     refine_centres(image, spots, ESTIMATOR_NUMBERS[estimator], centres, covariances)

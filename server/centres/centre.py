@@ -5,13 +5,12 @@ import math
 import numpy as np
 
 from asterism.server.centres.clip import fit_clip
-from asterism.server.centres.edge_model import BLUR_PX, PARAMETERS, SUMS, fit_edge_model
+from asterism.server.centres.edge_model import BLUR_PX, edge_room, fit_edge_model
 from asterism.server.centres.grey_square import fit_grey_square
 from asterism.server.centres.leaning import fit_leaning
 from asterism.server.centres.zernike import fit_zernike
 from asterism.server.compiled import compiled
-from asterism.server.segmentation.pixels import room_for
-from asterism.server.segmentation.spots import (
+from asterism.server.segmentation.spot_table import (
     AT_EDGE,
     FATE,
     HEIGHT,
@@ -101,8 +100,7 @@ def refine_centres(image, spots, estimator, centres, covariances):
         widest = max(widest, spots[k, SEMI_A])
         if spots[k, FATE] == UNEXPLAINED:
             largest = max(largest, (spots[k, WX1] - spots[k, WX0]) * (spots[k, WY1] - spots[k, WY0]))
-    pixels, sums = room_for(largest), np.empty(SUMS)
-    parameters, m, q = np.empty(PARAMETERS), np.empty((5, 5)), np.empty(5)
+    room = edge_room(largest)
     # The expected gain counts as much as a measurement of that sigma.
     told, weight = 2.0 * GAIN / GAIN_SIGMA**2, 2.0 / GAIN_SIGMA**2
     for place in range(n):
@@ -114,11 +112,11 @@ def refine_centres(image, spots, estimator, centres, covariances):
             continue
         count = _neighbours_of(spots, order, place, widest, neighbours, other)
         if estimator == 0:
-            fit_edge_model(image, spot, neighbours[:count], GAIN, pixels, sums, parameters, m, q, out)
+            fit_edge_model(image, spot, neighbours[:count], GAIN, room, out)
         elif estimator == 1:
             fit_grey_square(image, spot, neighbours[:count], GAIN, out)
         elif estimator == 2:
-            fit_clip(image, spot, neighbours[:count], GAIN, pixels, out)
+            fit_clip(image, spot, neighbours[:count], GAIN, room.pixels, out)
         else:
             fit_zernike(image, spot, neighbours[:count], GAIN, out)
         if out[5] > ONE_SIDED or other[2] > 0.0:

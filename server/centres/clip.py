@@ -8,10 +8,10 @@ Shack-Hartmann sensor", MNRAS 371 (2006); the covariance is first-order error pr
 
 import numpy as np
 
-from asterism.server.centres.edge_model import gather_pixels
+from asterism.server.centres.window import gather_pixels
 from asterism.server.compiled import compiled, compiled_sums
 from asterism.server.segmentation.pixels import COUNTS, GREY, PX, PY
-from asterism.server.segmentation.spots import (
+from asterism.server.segmentation.spot_table import (
     HEIGHT,
     LEVEL,
     NOISE,
@@ -36,7 +36,7 @@ SATURATED_PHASE_ERROR_PX = 0.012  # and more where the top is cut off, by the sh
 def _add_up(pixels, n, spot, gain, sums):
     """Fill ``sums`` (9,): the clipped profile's light and first moments; its noise with first and second moments.
 
-    ``pixels`` are those of `edge_model.gather_pixels`. Only pixels between the two levels vary: noise moves the others
+    ``pixels`` are those of `window.gather_pixels`. Only pixels between the two levels vary: noise moves the others
     along their clip level, where it changes nothing.
     """
     xs, ys, values, counts = pixels[PX], pixels[PY], pixels[GREY], pixels[COUNTS]

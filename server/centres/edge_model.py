@@ -17,11 +17,16 @@ than 1e-5 px, over pixels padded to whole registers.
 """
 
 import math
+from typing import Any, NamedTuple
 
+import numpy as np
+
+from asterism.server.centres.blurred_ellipse import REACH32, distance_to_ellipse, normal
+from asterism.server.centres.window import gather_pixels
 from asterism.server.compiled import compiled, compiled_sums
 from asterism.server.pose.planar import cholesky_solve
-from asterism.server.segmentation.pixels import COUNTS, GREY, HALF, LANES, ONE, PX, PY, TWO, ZERO, f32, gather_box, pad
-from asterism.server.segmentation.spots import (
+from asterism.server.segmentation.pixels import COUNTS, GREY, HALF, LANES, ONE, PX, PY, TWO, ZERO, f32, room_for
+from asterism.server.segmentation.spot_table import (
     ANGLE,
     HEIGHT,
     LEVEL,
@@ -49,16 +54,12 @@ LONG_STEP = 0.06, 0.1, 0.1  # of log size, blur (px) and rise (share), after whi
 SHAPE_STEPS = 3  # at most
 SATURATED_SHAPE_STEPS = 6  # where the top is cut off, rise and size are found from the flanks alone
 MANY_SATURATED = 0.05  # share of the spot's pixels
-NEAR_PX = 3.0  # outside the edge, within which pixels tell of the spot's shape
-SQUARE = 0.5 * math.sqrt(math.pi)  # half the side of the square as large as the unit disc
 LONGEST_STEP_PX = 0.7
 EVENNESS = 0.004  # of a spot's light: how uneven the model's own error leaves what is outside the ellipse, one sigma
-NEIGHBOUR_MARGIN_PX = 1.0  # pixels nearer than this to another spot are left out
 MODEL_ERROR = 0.05  # of the rise: how far the model may be off without anything being wrong
 STRANGE_LIGHT = 3.0  # sigmas above the model beyond which a pixel's light is somebody else's
 OUTSIDE = -1.0  # sigmas of blur from the edge, from where on light counts as beside the spot
 SATURATED = 255.0
-REACH = 4.5  # sigmas of blur beyond which the edge is over
 
 CX, CY, SX, SY, BASE, RISE, SIZE_A, SIZE_B, BLUR = range(9)
 PARAMETERS = 9
@@ -74,60 +75,38 @@ LIT_PARAMETERS = 7.0  # of them, those that lit pixels determine
 ) = range(43)  # fmt: skip
 SUMS = 43
 
-TINY = f32(1e-12)
-REACH32, OUTSIDE32 = f32(REACH), f32(OUTSIDE)
+OUTSIDE32 = f32(OUTSIDE)
 CEILING, NEAR_CEILING = f32(SATURATED), f32(SATURATED - 3.0)
 
 
-@compiled_sums
-def distance_to_ellipse(dx, dy, cos, sin, per_a2, per_b2):
-    """Distance of a pixel to the ellipse, px, positive inside, and what its derivatives are made of.
-
-    Returns u, v (the pixel along the axes), u / a^2, v / b^2, distance, and the factors ``outward`` and ``bend`` of
-    d distance = outward (pu du + pv dv) - bend (pu du / a^2 + pv dv / b^2).
+class Fitted(NamedTuple):
+    """The spot that is fitted: its row ``spot`` of the spot table; ``cos`` and ``sin`` of its angle; ``floor`` and
+    ``gain`` make the pixels' variances, floor + gain * light.
     """
-    u, v = cos * dx + sin * dy, cos * dy - sin * dx
-    pu, pv = u * per_a2, v * per_b2
-    slope2 = pu * pu + pv * pv + TINY
-    reach2 = u * pu + v * pv + TINY
-    # Roots and quotients are what takes the time: two of each are made to do.
-    reach = math.sqrt(reach2)
-    per_both = ONE / math.sqrt(slope2 * reach2)
-    per_slope = reach * per_both
-    distance = (reach - reach2) * per_slope
-    return u, v, pu, pv, distance, per_both - TWO * per_slope, distance * per_slope * per_slope
+
+    spot: Any
+    cos: float
+    sin: float
+    floor: float
+    gain: float
 
 
-@compiled_sums
-def gauss(square):
-    """exp(-square / 2) at square <= REACH^2: the sixteenth power of a polynomial, 1e-4 of itself at the far end."""
-    s = square * f32(0.5 / 16.0)
-    e = ONE - s * (ONE - s * (HALF - s * (f32(1.0 / 6.0) - s * (f32(1.0 / 24.0) - s * f32(1.0 / 120.0)))))
-    e = e * e
-    e = e * e
-    e = e * e
-    return e * e
-
-
-@compiled_sums
-def normal(t):
-    """The normal distribution function and its density at |t| <= REACH.
-
-    Both are made of polynomials (that of the former by least squares on Chebyshev nodes, 4e-6): what wide registers are
-    good at.
+class EdgeRoom(NamedTuple):
+    """Room for the fit of a spot: ``pixels`` of its window as in `pixels.room_for`, ``sums`` (SUMS,), the model's
+    parameters ``p`` (PARAMETERS,), and ``m`` (5, 5) and ``q`` (5,), a step of its shape.
     """
-    r = t * t * f32(1.0 / (REACH * REACH))
-    f = f32(5.52169579) - f32(0.946988853) * r
-    f = f * r - f32(14.3616313)
-    f = f * r + f32(22.1794949)
-    f = f * r - f32(22.9223258)
-    f = f * r + f32(16.997319)
-    f = f * r - f32(9.46363688)
-    f = f * r + f32(4.05310171)
-    f = f * r - f32(1.3448406)
-    f = f * r + f32(0.398921712)
-    e = f32(0.3989422804014327) * gauss(t * t)
-    return HALF + t * f, e if abs(t) < REACH32 else ZERO
+
+    pixels: Any
+    sums: Any
+    p: Any
+    m: Any
+    q: Any
+
+
+@compiled
+def edge_room(cells):
+    """Empty `EdgeRoom` for windows of so many pixels."""
+    return EdgeRoom(room_for(cells), np.empty(SUMS), np.empty(PARAMETERS), np.empty((5, 5)), np.empty(5))
 
 
 @compiled_sums
@@ -143,20 +122,20 @@ def _weight(value, told, variance, counts, loose, limit):
 
 
 @compiled_sums
-def add_up_shape(pixels, n, p, spot, cos, sin, floor, gain, strange, sums):
+def add_up_shape(pixels, n, p, fitted, strange, sums):
     """Information and score of the even and of the odd block over the first ``n`` of ``pixels``.
 
-    ``p`` (PARAMETERS,) are the model's, ``cos`` and ``sin`` those of its angle; ``floor`` and ``gain`` make the pixels'
-    variances; ``strange``: leave out pixels with more light than the model can be wrong by. Fills M_, Q_, N_ and R_ of
-    ``sums`` (SUMS,).
+    ``p`` (PARAMETERS,) are the model's; ``strange``: leave out pixels with more light than the model can be wrong by.
+    Fills M_, Q_, N_ and R_ of ``sums`` (SUMS,).
     """
     xs, ys, values, counts = pixels[PX], pixels[PY], pixels[GREY], pixels[COUNTS]
     cx, cy, slope_x, slope_y = f32(p[CX]), f32(p[CY]), f32(p[SX]), f32(p[SY])
     level, rise, per_blur = f32(p[BASE]), f32(p[RISE]), f32(1.0 / p[BLUR])
+    spot = fitted.spot
     a, b = spot[SEMI_A] * p[SIZE_A], spot[SEMI_B] * p[SIZE_B]
     per_a2, per_b2 = f32(1.0 / (a * a)), f32(1.0 / (b * b))
-    cos, sin = f32(cos), f32(sin)
-    floor, gain, loose = f32(floor), f32(gain), f32((MODEL_ERROR * p[RISE]) ** 2)
+    cos, sin = f32(fitted.cos), f32(fitted.sin)
+    floor, gain, loose = f32(fitted.floor), f32(fitted.gain), f32((MODEL_ERROR * p[RISE]) ** 2)
     limit = f32(STRANGE_LIGHT * STRANGE_LIGHT if strange else 1e18)
     n_xx = n_xy = n_yy = n_xu = n_xv = n_yu = n_yv = n_uu = n_uv = n_vv = r_x = r_y = r_u = r_v = ZERO
     m_ll = m_lr = m_la = m_lb = m_lw = m_rr = m_ra = m_rb = m_rw = m_aa = m_ab = m_aw = m_bb = m_bw = m_ww = ZERO
@@ -223,20 +202,21 @@ def add_up_shape(pixels, n, p, spot, cos, sin, floor, gain, strange, sums):
 
 
 @compiled_sums
-def add_up_centre(pixels, n, p, spot, cos, sin, floor, gain, sums):
+def add_up_centre(pixels, n, p, fitted, sums):
     """Information and score of the odd block and of the level, the misfit, and light to one side, over ``n`` pixels.
 
     Arguments as in `add_up_shape`. Fills N_, R_, M_LL, Q_L, and all from CHI2 on, of ``sums`` (SUMS,). Light outside
     the ellipse is looked for above the spot's surroundings.
     """
     xs, ys, values, counts = pixels[PX], pixels[PY], pixels[GREY], pixels[COUNTS]
+    spot = fitted.spot
     far_level, far_x, far_y = f32(spot[LEVEL]), f32(spot[SLOPE_X]), f32(spot[SLOPE_Y])
     cx, cy, slope_x, slope_y = f32(p[CX]), f32(p[CY]), f32(p[SX]), f32(p[SY])
     level, rise, per_blur = f32(p[BASE]), f32(p[RISE]), f32(1.0 / p[BLUR])
     a, b = spot[SEMI_A] * p[SIZE_A], spot[SEMI_B] * p[SIZE_B]
     per_a2, per_b2 = f32(1.0 / (a * a)), f32(1.0 / (b * b))
-    cos, sin = f32(cos), f32(sin)
-    floor, gain, loose = f32(floor), f32(gain), f32((MODEL_ERROR * p[RISE]) ** 2)
+    cos, sin = f32(fitted.cos), f32(fitted.sin)
+    floor, gain, loose = f32(fitted.floor), f32(fitted.gain), f32((MODEL_ERROR * p[RISE]) ** 2)
     limit = f32(STRANGE_LIGHT * STRANGE_LIGHT)
     n_xx = n_xy = n_yy = n_xu = n_xv = n_yu = n_yv = n_uu = n_uv = n_vv = r_x = r_y = r_u = r_v = ZERO
     m_ll = q_l = chi2 = count = side_x = side_y = side_variance = lit_1 = lit_2 = lit_read = lit_found = ZERO
@@ -363,57 +343,20 @@ def _improve_centre(sums, p):
 
 
 @compiled
-def leave_out(pixels, count, neighbours, middle_x, middle_y):
-    """Let the first ``count`` pixels on or near ``neighbours`` (k, 3) x, y, radius px not count.
-
-    Pixels are told from (``middle_x``, ``middle_y``) px.
-    """
-    for k in range(neighbours.shape[0]):
-        x, y = f32(neighbours[k, 0] - middle_x), f32(neighbours[k, 1] - middle_y)
-        reach2 = f32((neighbours[k, 2] + NEIGHBOUR_MARGIN_PX) ** 2)
-        for i in range(count):
-            if (pixels[PX, i] - x) ** 2 + (pixels[PY, i] - y) ** 2 < reach2:
-                pixels[COUNTS, i] = ZERO
-
-
-@compiled
-def gather_pixels(image, spot, neighbours, pixels):
-    """The pixels of the spot's window, those near its edge first: where these end, and where all do.
-
-    ``pixels`` is room for the window (see `pixels.room_for`). Both parts are padded with pixels that do not count, nor
-    do those of ``neighbours`` (k, 3) x, y, radius px.
-    """
-    x0, x1, y0, y1 = int(spot[WX0]), int(spot[WX1]), int(spot[WY0]), int(spot[WY1])
-    middle_x, middle_y = 0.5 * (spot[WX0] + spot[WX1] - 1.0), 0.5 * (spot[WY0] + spot[WY1] - 1.0)
-    reach = SQUARE * (spot[SEMI_A] + NEAR_PX)
-    left, right = max(x0, math.ceil(spot[X] - reach)), min(x1, math.floor(spot[X] + reach) + 1)
-    top, bottom = max(y0, math.ceil(spot[Y] - reach)), min(y1, math.floor(spot[Y] + reach) + 1)
-    gathered = gather_box(image, left, right, top, bottom, middle_x, middle_y, pixels, 0)
-    near = pad(pixels, 0, gathered)
-    gathered = gather_box(image, x0, x1, y0, top, middle_x, middle_y, pixels, near)
-    gathered = gather_box(image, x0, x1, bottom, y1, middle_x, middle_y, pixels, gathered)
-    gathered = gather_box(image, x0, left, top, bottom, middle_x, middle_y, pixels, gathered)
-    gathered = gather_box(image, right, x1, top, bottom, middle_x, middle_y, pixels, gathered)
-    count = pad(pixels, near, gathered)
-    leave_out(pixels, count, neighbours, middle_x, middle_y)
-    return near, count
-
-
-@compiled
-def fit_edge_model(image, spot, neighbours, gain, pixels, sums, p, m, q, out):
+def fit_edge_model(image, spot, neighbours, gain, room, out):
     """Refine the centre of one spot.
 
     ``spot`` is a row of the spot table; ``neighbours`` (k, 3) the x, y and radius (px) of spots nearby; ``gain`` grey
-    levels of variance per grey level of light; ``pixels`` (room for its window), ``sums`` (SUMS,), ``p``
-    (PARAMETERS,), ``m`` (5, 5) and ``q`` (5,) are scratch. ``out`` (9,) receives x, y, the covariance xx, xy, yy (px^2)
-    for that gain, how far, in sigmas, the light outside the ellipse lies to one side (noise and a wrong shape leave it
-    even, other light beside the spot does not), chi squared per degree of freedom, and what the residuals say of the
-    sensor's gain: numerator and denominator.
+    levels of variance per grey level of light; ``room`` an `EdgeRoom` for its window. ``out`` (9,) receives x, y, the
+    covariance xx, xy, yy (px^2) for that gain, how far, in sigmas, the light outside the ellipse lies to one side
+    (noise and a wrong shape leave it even, other light beside the spot does not), chi squared per degree of freedom,
+    and what the residuals say of the sensor's gain: numerator and denominator.
     """
+    pixels, sums, p = room.pixels, room.sums, room.p
     near, n = gather_pixels(image, spot, neighbours, pixels)
     middle_x, middle_y = 0.5 * (spot[WX0] + spot[WX1] - 1.0), 0.5 * (spot[WY0] + spot[WY1] - 1.0)
     floor = spot[NOISE] * spot[NOISE] + 0.02
-    cos, sin = math.cos(spot[ANGLE]), math.sin(spot[ANGLE])
+    fitted = Fitted(spot, math.cos(spot[ANGLE]), math.sin(spot[ANGLE]), floor, gain)
     p[CX], p[CY] = spot[X] - middle_x, spot[Y] - middle_y
     p[SX], p[SY] = spot[SLOPE_X], spot[SLOPE_Y]
     p[BASE] = spot[LEVEL] + p[SX] * p[CX] + p[SY] * p[CY]
@@ -427,12 +370,12 @@ def fit_edge_model(image, spot, neighbours, gain, pixels, sums, p, m, q, out):
         # A Gaussian blur leaves a disc no more of its height in its middle.
         p[RISE] /= 1.0 - math.exp(-0.5 * a * b * p[SIZE_A] * p[SIZE_B] / (START_BLUR_PX * START_BLUR_PX))
     for trial in range(steps):
-        add_up_shape(pixels, near, p, spot, cos, sin, floor, gain, trial > 0, sums)
+        add_up_shape(pixels, near, p, fitted, trial > 0, sums)
         _improve_centre(sums, p)
-        if not _improve_shape(sums, p, spot[HEIGHT], m, q) and not saturated:
+        if not _improve_shape(sums, p, spot[HEIGHT], room.m, room.q) and not saturated:
             break
     # Away from the edge there is little to learn, but of other light: only the last step looks at it.
-    add_up_centre(pixels, n, p, spot, cos, sin, floor, gain, sums)
+    add_up_centre(pixels, n, p, fitted, sums)
     xx, xy, yy, told = _improve_centre(sums, p)
     det = xx * yy - xy * xy
     if not told or not det > 0.0 or math.hypot(p[CX] + middle_x - spot[X], p[CY] + middle_y - spot[Y]) > 1.0 + a:

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from asterism.server.compiled import compiled
-from asterism.server.segmentation.spots import (
+from asterism.server.segmentation.spot_table import (
     HEIGHT,
     LEVEL,
     NOISE,

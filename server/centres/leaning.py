@@ -9,11 +9,13 @@ import math
 
 import numpy as np
 
-from asterism.server.centres.edge_model import REACH, SATURATED, distance_to_ellipse, gauss, leave_out, normal
+from asterism.server.centres.blurred_ellipse import REACH, distance_to_ellipse, gauss, normal
+from asterism.server.centres.edge_model import SATURATED
+from asterism.server.centres.window import leave_out
 from asterism.server.compiled import compiled, compiled_sums
 from asterism.server.pose.planar import cholesky_solve
-from asterism.server.segmentation.pixels import LANES, gather_box, pad, room_for
-from asterism.server.segmentation.spots import (
+from asterism.server.segmentation.pixels import LANES, Box, cells_of, gather_box, pad, room_for
+from asterism.server.segmentation.spot_table import (
     ANGLE,
     HEIGHT,
     LEVEL,
@@ -191,22 +193,22 @@ def _add_up(pixels, count, spot, blur, gain, p, n, r):
 
 
 @compiled
-def _gather(image, spot, neighbours, x0, x1, y0, y1):
-    """The pixels of a window (exclusive ends), told from the middle of the spot's own; neighbours' do not count."""
+def _gather(image, spot, neighbours, box):
+    """The pixels of a box, told from the middle of the spot's own; neighbours' do not count."""
     middle_x, middle_y = 0.5 * (spot[WX0] + spot[WX1] - 1.0), 0.5 * (spot[WY0] + spot[WY1] - 1.0)
-    pixels = room_for((x1 - x0) * (y1 - y0))
-    count = pad(pixels, 0, gather_box(image, x0, x1, y0, y1, middle_x, middle_y, pixels, 0))
+    pixels = room_for(cells_of(box))
+    count = pad(pixels, 0, gather_box(image, box, middle_x, middle_y, pixels, 0))
     leave_out(pixels, count, neighbours, middle_x, middle_y)
     return pixels, count
 
 
 @compiled
-def _light_beside(image, spot, neighbours, x0, x1, y0, y1):
+def _light_beside(image, spot, neighbours, box):
     """Centre and height of what shines outside the spot's ellipse; height 0 if nothing does."""
     middle_x, middle_y = 0.5 * (spot[WX0] + spot[WX1] - 1.0), 0.5 * (spot[WY0] + spot[WY1] - 1.0)
     s = sx = sy = most = 0.0
-    for y in range(y0, y1):
-        for x in range(x0, x1):
+    for y in range(box.y0, box.y1):
+        for x in range(box.x0, box.x1):
             if math.hypot(x - spot[X], y - spot[Y]) < spot[SEMI_A] + 1.0:
                 continue
             plane = spot[LEVEL] + spot[SLOPE_X] * (x - middle_x) + spot[SLOPE_Y] * (y - middle_y)
@@ -240,17 +242,18 @@ def fit_leaning(image, spot, other, neighbours, blur, gain, out):
     wider = 2 if other[2] == 0.0 else 6
     x0, x1 = max(int(spot[WX0]) - wider, 0), min(int(spot[WX1]) + wider, width)
     y0, y1 = max(int(spot[WY0]) - wider, 0), min(int(spot[WY1]) + wider, height)
+    box = Box(x0, x1, y0, y1)
     p = np.empty(PARAMETERS)
     p[PX], p[PY], p[RISE] = spot[X], spot[Y], spot[HEIGHT]
     p[A], p[B] = spot[SEMI_A], spot[SEMI_B]
     if other[2] > 0.0:
         p[QX], p[QY], p[LIGHT], p[WIDTH] = other[0], other[1], other[2], max(0.7 * other[3], 1.0)
     else:
-        p[QX], p[QY], p[LIGHT] = _light_beside(image, spot, neighbours, x0, x1, y0, y1)
+        p[QX], p[QY], p[LIGHT] = _light_beside(image, spot, neighbours, box)
         p[WIDTH] = 2.0
         if p[LIGHT] == 0.0:
             return False
-    pixels, count = _gather(image, spot, neighbours, x0, x1, y0, y1)
+    pixels, count = _gather(image, spot, neighbours, box)
     n, r = np.empty((PARAMETERS, PARAMETERS)), np.empty(PARAMETERS)
     trial_n, trial_r = np.empty((PARAMETERS, PARAMETERS)), np.empty(PARAMETERS)
     work, move, trial = np.empty((PARAMETERS, PARAMETERS)), np.empty(PARAMETERS), np.empty(PARAMETERS)

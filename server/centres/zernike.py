@@ -19,7 +19,7 @@ from asterism.protocol.geometry import Floats
 from asterism.server.centres.edge_model import BLUR_PX
 from asterism.server.compiled import compiled
 from asterism.server.pose.planar import cholesky_solve
-from asterism.server.segmentation.spots import (
+from asterism.server.segmentation.spot_table import (
     HEIGHT,
     LEVEL,
     NOISE,
@@ -313,14 +313,17 @@ def _centre_gains(points, n, ellipse, gains):
 
 
 @compiled
-def _noise_of_centre(image, z, spot, gain, x0, y0, px_per_ratio, edges, n, gains, out):
+def _noise_of_centre(window, z, spot, gain, px_per_ratio, edges, gains, out):
     """Fill xx, xy, yy of ``out`` with what the pixels' noise makes of the centre; return that of the mean point, px^2.
 
-    Neighbouring points share most of their pixels, so every pixel's pull is summed over all points first.
+    ``window`` is that part of the image, ``z`` (rows, cols) its rise above the background; ``edges`` (n, 6) and
+    ``gains`` (2, n) are the points'. Neighbouring points share most of their pixels, so every pixel's pull is summed
+    over all points first.
     """
     pulls = np.zeros((2, z.shape[0], z.shape[1]))
     read = spot[NOISE] ** 2
     points_noise = 0.0
+    n = edges.shape[0]
     for e in range(n):
         i, j, cos, sin, ratio = int(edges[e, 0]), int(edges[e, 1]), edges[e, 2], edges[e, 3], edges[e, 4] / px_per_ratio
         for k in range(SIZE):
@@ -334,7 +337,7 @@ def _noise_of_centre(image, z, spot, gain, x0, y0, px_per_ratio, edges, n, gains
     xx = xy = yy = 0.0
     for row in range(z.shape[0]):
         for col in range(z.shape[1]):
-            if image[y0 + row, x0 + col] < 255:  # the sensor's ceiling has no noise
+            if window[row, col] < 255:  # the sensor's ceiling has no noise
                 variance = read + gain * max(z[row, col], 0.0)
                 px, py = pulls[0, row, col], pulls[1, row, col]
                 xx += variance * px * px
@@ -374,7 +377,7 @@ def fit_zernike(image, spot, neighbours, gain, out):
     if misfit < 0.0:
         return
     out[0], out[1] = spot[X] + ellipse[0], spot[Y] + ellipse[1]
-    noise = _noise_of_centre(image, z, spot, gain, x0, y0, px_per_ratio, edges, n, gains, out)
+    noise = _noise_of_centre(image[y0:y1, x0:x1], z, spot, gain, px_per_ratio, edges[:n], gains, out)
     wrong = MISFIT_TAKEN * max(misfit / max(n - 5.0, 1.0) - NOISE_LEFT * noise, 0.0)
     out[2] += wrong * np.dot(gains[0, :n], gains[0, :n]) + PHASE_ERROR_PX**2
     out[3] += wrong * np.dot(gains[0, :n], gains[1, :n])

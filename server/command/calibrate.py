@@ -1,10 +1,9 @@
 """asterism calibrate KIND: what the kinds of calibration have in common. Each kind has a module of its own."""
 
 import argparse
-from pathlib import Path
 
 from asterism.server.command.parser import module_of
-from asterism.server.command.shared_arguments import FINITE_SOURCE
+from asterism.server.command.shared_arguments import FINITE_SOURCE, add_out
 
 EXAMPLES = (
     "asterism calibrate camera frames/ --target chessboard:9x6:0.025 -o camera.yaml\n"
@@ -29,8 +28,7 @@ def add_source_and_out(part: argparse.ArgumentParser, out: str, rig: bool = True
     if rig:
         part.add_argument("rig", metavar="RIG", help="rig.yaml")
     part.add_argument("source", metavar="SOURCE", help=FINITE_SOURCE)
-    part.add_argument("-o", "--out", metavar=out, type=Path, required=True, help="what is written")
-    part.add_argument("--force", action="store_true", help=f"replace {out}; the old one is kept beside it")
+    add_out(part, out, "what is written")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -1,6 +1,7 @@
 """asterism calibrate camera: the lens model from views of a planar target."""
 
 import argparse
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from asterism.protocol.camera import parse_camera
-from asterism.protocol.errors import InputError, WorldError
+from asterism.protocol.errors import InputError
 from asterism.protocol.keys import key_problem
 from asterism.server.calibration.lens.board_points import Seen, find_points
 from asterism.server.calibration.lens.bundle import View
@@ -20,11 +21,11 @@ from asterism.server.calibration.lens.coverage import COLUMNS, ROWS, empty_parts
 from asterism.server.calibration.lens.fit import CameraFit, ends_inside
 from asterism.server.calibration.lens.plots import coverage_png, residuals_png
 from asterism.server.calibration.lens.targets import Target, parse_target
-from asterism.server.calibration.result_file import check_result_file, write_result_file
 from asterism.server.chain.frame import Frame
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.calibrate import TARGET, add_source_and_out
-from asterism.server.command.progress import progress
+from asterism.server.command.progress import progress, working
+from asterism.server.output import check_file, new_file
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source
 from asterism.server.sources.source import Source
@@ -55,7 +56,8 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Find the target, fit, write the calibration with report and plots, say how good it is."""
-    check_result_file(options.out, options.force)
+    for path in (options.out, *_beside(options.out)):
+        check_file(path, options.force)
     if options.source == "sim":
         raise InputError("sim: shows no calibration target; expected images, a film, a recording or a camera")
     name = options.out.stem
@@ -72,19 +74,25 @@ def run(options: argparse.Namespace) -> int:
         _look_through(source, search)
     refuse_too_few(search.views, search.looked_at, target, options.source, search.samples)
     width, height = search.size
-    fit, held_out = calibrate_camera(search.views, width, height, target, options.model, say)
+    with working("fitting the lens") as doing:
+        fit, held_out = calibrate_camera(search.views, width, height, target, options.model, doing)
     camera = parse_camera(camera_text(replace(fit.camera, name=name)), str(options.out))
     remarks = missing(fit)
     if ends_inside(camera):
         remarks.append("the lens model ends inside the image: LEDs near its edge have no ray")
     if hint := implausible(fit):
         remarks.append(hint)
-    kept = write_result_file(options.out, camera_text(camera), options.force)
-    written = _write_beside(options.out, fit, report_text(fit, target.name, options.source, held_out, remarks))
+    with working("drawing the plots"):
+        plots = coverage_png(fit), residuals_png(fit)
+    report = report_text(fit, target.name, options.source, held_out, remarks)
+    contents = (camera_text(camera).encode(), report.encode(), *plots)
+    kept = _write(dict(zip((options.out, *_beside(options.out)), contents, strict=True)), options.force)
     _tell(fit, held_out, search)
     for remark in remarks:
         print(f"warning: {remark}")
-    print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else "") + f"; {', '.join(written)}")
+    print(f"written: {', '.join([str(options.out), *(path.name for path in _beside(options.out))])}")
+    if kept:
+        print(f"kept beside: {', '.join(map(str, kept))}")
     return 0
 
 
@@ -149,19 +157,18 @@ def _map(counts: NDArray[np.int64]) -> str:
     return " ".join("".join("#" if counts[row, k] >= 3 else "." for k in range(COLUMNS)) for row in range(ROWS))
 
 
-def _write_beside(out: Path, fit: CameraFit, report: str) -> list[str]:
-    """Report and plots beside the calibration; those of an older one give way."""
-    files = {
-        report_path(out): report.encode(),
-        out.with_name(f"{out.stem}.coverage.png"): coverage_png(fit),
-        out.with_name(f"{out.stem}.residuals.png"): residuals_png(fit),
-    }
-    try:
-        for path, data in files.items():
-            path.write_bytes(data)
-    except OSError as error:
-        raise WorldError(f"{path}: cannot be written ({error.strerror})") from None
-    return [path.name for path in files]
+def _beside(out: Path) -> tuple[Path, Path, Path]:
+    """Where report and plots go."""
+    return report_path(out), out.with_name(f"{out.stem}.coverage.png"), out.with_name(f"{out.stem}.residuals.png")
+
+
+def _write(files: dict[Path, bytes], force: bool) -> list[Path]:
+    """Write all or none; returns where older ones are kept."""
+    with ExitStack() as stack:
+        outputs = [stack.enter_context(new_file(path, force)) for path in files]
+        for output, data in zip(outputs, files.values(), strict=True):
+            output.path.write_bytes(data)
+    return [output.kept for output in outputs if output.kept]
 
 
 def _tell(fit: CameraFit, held_out: dict[str, float], search: _Search) -> None:

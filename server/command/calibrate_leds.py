@@ -2,28 +2,44 @@
 
 import argparse
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from asterism.protocol.constellation import LEDS
 from asterism.protocol.errors import InputError
+from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import load_rig, parse_rig
-from asterism.server.calibration.leds.calibration import LedCalibration, calibrate_leds, moved_by, tilt_spread_deg
+from asterism.server.budget.uncertainty import LedError
+from asterism.server.budget.uncertainty_file import check_uncertainty_file, write_uncertainty_file
+from asterism.server.calibration.leds.bundle import Adjusted
+from asterism.server.calibration.leds.calibration import (
+    LedCalibration,
+    calibrate_leds,
+    given_sigma,
+    moved_by,
+    shape_sigma,
+    tilt_spread_deg,
+)
+from asterism.server.calibration.leds.gauge import Gauge
 from asterism.server.calibration.result_file import check_result_file, write_result_file
-from asterism.server.calibration.rewrite import relocate, rewrite
+from asterism.server.calibration.rewrite import annotate, relocate, rewrite
 from asterism.server.chain.frame import Frame
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.calibrate import add_source_and_out
 from asterism.server.command.number_arguments import positive
-from asterism.server.command.progress import progress
+from asterism.server.command.progress import progress, working
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
 
 EXAMPLES = "asterism calibrate leds rig.yaml film/ --robot alpha --distance 0,3=0.0862 -o rig2.yaml\n"
 
 DECIMALS = 7  # of positions in m: a tenth of a micrometre
+DISTANCE_SIGMA_M = 1e-4  # assumed of the measured distance: calipers between the middles of two LEDs
+TAG = "asterism calibrate leds"
 
 
 def add_arguments(part: argparse.ArgumentParser) -> None:
@@ -37,6 +53,20 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
         required=True,
         help="measured between two of its LEDs, counted from 0",
     )
+    part.add_argument(
+        "--frame",
+        metavar="I,J",
+        type=_two_leds,
+        help="LEDs that hold the robot's frame: I stays where the rig has it, J in its direction (default: best fit to "
+        "all)",
+    )
+
+
+def _two_leds(text: str) -> tuple[int, int]:
+    leds = text.split(",")
+    if len(leds) != 2 or not all(led.isdigit() and int(led) < LEDS for led in leds) or leds[0] == leds[1]:
+        raise argparse.ArgumentTypeError(f"{text!r}, expected I,J: two LEDs from 0 to {LEDS - 1}")
+    return int(leds[0]), int(leds[1])
 
 
 def _distance(text: str) -> tuple[int, int, float]:
@@ -52,39 +82,85 @@ def _distance(text: str) -> tuple[int, int, float]:
 def run(options: argparse.Namespace) -> int:
     """Fit, write the rig with the new positions, print them with their standard deviations."""
     check_result_file(options.out, options.force)
+    check_uncertainty_file(options.out, options.force)
     refuse_endless(options.source, "calibrate leds")
     rig = load_rig(options.rig)
     ids = [robot.id for robot in rig.robots]
     if options.robot not in ids:
         raise InputError(f"--robot {options.robot}: is not in {options.rig}, expected one of {', '.join(ids)}")
-    rounds = iter(("finding the LEDs", "measuring"))
+    rounds = iter(("finding the LEDs", "learning where they are", "measuring", "fitting their places"))
+    fitting = ExitStack()
     quiet = False  # the second round meets the same unreadable images again
 
     def frames() -> Iterator[Frame]:
         nonlocal quiet
         source = open_source(options.source, rig, (lambda _: None) if quiet else say)
         quiet = True
+        fitting.close()
         yield from progress(source.frames(), source.length, next(rounds))
+        fitting.enter_context(working(next(rounds)))
 
     warm_up()
-    found = calibrate_leds(rig, options.robot, frames, options.source, options.distance)
     robot = rig.robot(options.robot)
-    leds = found.adjusted.leds.round(DECIMALS) + 0.0
+    gauge = Gauge(robot.leds, options.distance, options.frame)
+    with fitting:
+        found = calibrate_leds(rig, options.robot, frames, options.source, gauge)
+    adjusted = found.adjusted
+    leds = adjusted.leds.round(DECIMALS) + 0.0
     text = rewrite(rig.rig_text, {("robots", options.robot, "leds"): leds.tolist()}, options.rig)
+    text = annotate(text, ("robots", options.robot, "leds"), TAG, _comments(adjusted, gauge))
     parse_rig(text, rig.camera_text, str(options.out), rig.offset_texts)
     text = relocate(text, Path(options.rig), options.out)
     kept = write_result_file(options.out, text, options.force)
-    _tell(found, moved_by(found.adjusted.leds, robot.leds), tilt_spread_deg(robot, found.adjusted.views))
-    normal = robot.T_robot_plane.rotation[:, 2]
-    block = np.kron(np.eye(len(leds)), normal)
-    off = np.sqrt(np.diag(block @ found.adjusted.covariance @ block.T))
-    first, second, metres = options.distance
-    print(
-        f"off the plane: determined to {off.max() * 1e3:.4f} mm; scale: from the distance of LEDs {first} and "
-        f"{second}, whose error it shares (0.1 mm there is {0.1e-3 / metres:.2%} of every pose's distance)"
-    )
+    _tell(found, moved_by(adjusted.leds, robot.leds), tilt_spread_deg(robot, adjusted.views))
+    for line in _relative_to(adjusted, gauge, robot.T_robot_plane.rotation[:, 2]):
+        print(line)
     print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else ""))
+    known = LedError(shape_sigma(adjusted), DISTANCE_SIGMA_M / options.distance[2], "calibrate leds")
+    for line in write_uncertainty_file(Path(options.rig), options.out, {options.robot: known}, options.force):
+        print(line)
     return 0
+
+
+def _comments(adjusted: Adjusted, gauge: Gauge) -> list[str]:
+    """What the rig says above the positions: whose frame they are in, and how far it may be trusted."""
+    metres = gauge.distance[2]
+    return [
+        f"positions among one another +- {1e3 * shape_sigma(adjusted):.4f} mm; scale: LEDs {gauge.distance[0]} and "
+        f"{gauge.distance[1]} are {1e3 * metres:g} mm apart",
+        f"frame: {_frame(gauge)}, {_frame_sigmas(adjusted, gauge)}",
+    ]
+
+
+def _frame(gauge: Gauge) -> str:
+    if gauge.anchors is None:
+        return "the best fit to the positions that stood here before"
+    first, second = gauge.anchors
+    return f"LED {first} stays where it stood, LED {second} in its direction, the plate in its plane"
+
+
+def _frame_sigmas(adjusted: Adjusted, gauge: Gauge) -> str:
+    sigma = given_sigma(adjusted.leds, gauge.given)
+    shift, turn = gauge.frame_sigmas(sigma)
+    return (
+        f"which were off by {1e3 * sigma:.2f} mm an axis: by {1e3 * shift:.2f} mm and {np.degrees(turn):.2f} degrees "
+        "the frame may be off the plate's"
+    )
+
+
+def _relative_to(adjusted: Adjusted, gauge: Gauge, normal: Floats) -> list[str]:
+    """What the numbers are relative to: shape, frame, scale."""
+    block = np.kron(np.eye(LEDS), normal)
+    off = np.sqrt(np.diag(block @ adjusted.covariance @ block.T))
+    first, second, metres = gauge.distance
+    anchor = "" if gauge.anchors else "; --frame I,J holds it on two LEDs instead"
+    return [
+        f"shape: the LEDs among one another are known to {1e3 * shape_sigma(adjusted):.4f} mm an axis (off the plane: "
+        f"{1e3 * off.max():.4f} mm); the sigmas above are relative to frame and scale:",
+        f"frame: {_frame(gauge)}, {_frame_sigmas(adjusted, gauge)}{anchor}",
+        f"scale: from the distance of LEDs {first} and {second}, whose error it shares ({1e3 * DISTANCE_SIGMA_M:g} mm "
+        f"there, which is assumed, is {DISTANCE_SIGMA_M / metres:.2%} of every pose's distance)",
+    ]
 
 
 def _tell(found: LedCalibration, moved: np.ndarray, spread: tuple[float, float]) -> None:

@@ -18,7 +18,7 @@ from asterism.server.calibration.survey.surveyed import check_survey, pair
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.calibrate import TRUTH, add_source_and_out
 from asterism.server.command.number_arguments import positives
-from asterism.server.command.progress import progress
+from asterism.server.command.progress import progress, working
 from asterism.server.pose.led_optics import check_cover
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
@@ -63,9 +63,20 @@ def run(options: argparse.Namespace) -> int:
     ]
     paired = pair(survey, seen, source.name)
     check_survey(paired.pairs, rig, survey.name, FEWEST_POSES)
-    found = calibrate_offset(rig, paired.pairs, options.source, options.dome, options.window)
+    with working("fitting the offset, each pose held out in its turn"):
+        found = calibrate_offset(rig, paired.pairs, options.source, options.dome, options.window)
     for remark in paired.remarks:
         say(remark)
+    _tell(found)
+    before, after = (1e3 * np.sqrt(np.nanmean(away[found.fit.used] ** 2)) for away, _ in (found.before, found.after))
+    print(
+        f"poses that it was not fitted to {'gain' if found.helps else 'do not gain'}: {before:.3f} mm off an axis by "
+        f"the rig as it is, {after:.3f} mm with the offset"
+    )
+    if not found.helps:
+        # An answer, not a failure: what comes next can go on with the rig as it is.
+        print(f"not written: {options.out}" + (" stays as it was" if options.out.exists() else "") + "; keep the rig")
+        return 0
     robots = sorted({sighting.robot for sighting, _ in paired.pairs})
     text = _text(found, options, robots)
     parse_offset(text, str(options.out))
@@ -74,7 +85,6 @@ def run(options: argparse.Namespace) -> int:
             f"warning: the z_correction of {options.rig} was fitted without this offset; run asterism calibrate z again"
         )
     kept = write_result_file(options.out, text, options.force)
-    _tell(found)
     print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else ""))
     print(f"to use it: led: {{offset: {options.out.name}}} for {', '.join(robots)} in the rig.yaml (path from there)")
     return 0

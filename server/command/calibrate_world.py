@@ -10,18 +10,25 @@ from rich.table import Table
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.rig import Rig, load_rig, parse_rig
+from asterism.protocol.yaml_file import parse_yaml
+from asterism.server.budget.uncertainty import Uncertainty, lens_error_of, read_uncertainty
+from asterism.server.budget.uncertainty_file import check_uncertainty_file, write_uncertainty_file
 from asterism.server.calibration.leds.observations import observe
 from asterism.server.calibration.lens.board_points import find_points
-from asterism.server.calibration.lens.targets import parse_target
+from asterism.server.calibration.lens.bundle import View
+from asterism.server.calibration.lens.camera_file import report_path
+from asterism.server.calibration.lens.lens_error import LensError
+from asterism.server.calibration.lens.targets import parse_target, refuse_symmetric
 from asterism.server.calibration.result_file import check_result_file, write_result_file
 from asterism.server.calibration.rewrite import relocate, rewrite
 from asterism.server.calibration.survey.survey import read_survey
 from asterism.server.calibration.survey.surveyed import pair
 from asterism.server.calibration.survey.world import WorldFit, fit_world, without_world
-from asterism.server.calibration.survey.world_board import View, fit_board
+from asterism.server.calibration.survey.world_board import fit_board
+from asterism.server.calibration.survey.world_lens import spread_by_lens
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.calibrate import TARGET, TRUTH, add_source_and_out
-from asterism.server.command.progress import progress
+from asterism.server.command.progress import progress, working
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
 
@@ -45,26 +52,52 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Fit, print the verification samples, write the rig with its `world`."""
     check_result_file(options.out, options.force)
+    check_uncertainty_file(options.out, options.force)
     command = "calibrate world"
     refuse_endless(options.source, command)
     rig = load_rig(options.rig)
-    T_world_camera, covariance = _from_target(options, rig) if options.target else _from_survey(options, rig)
+    camera_path = Path(options.rig).parent / parse_yaml(rig.rig_text, options.rig).text("camera")
+    uncertainty = read_uncertainty(Path(options.rig), rig.centre, camera_path)
+    lens = lens_error_of(rig.camera, camera_path, uncertainty)
+    place = _from_target if options.target else _from_survey
+    T_world_camera, covariance, of_lens = place(options, rig, lens.covariance)
     position, orientation = T_world_camera.position.round(7) + 0.0, T_world_camera.orientation.round(9) + 0.0
     sigmas = np.sqrt(np.diag(covariance))
     print(
         f"camera in the world: {_row(1e3 * position, 3)} mm, +- {_row(1e3 * sigmas[:3], 3)} mm, "
-        f"+- {_row(np.degrees(sigmas[3:]), 3)} degrees"
+        f"+- {_row(np.degrees(sigmas[3:]), 3)} degrees (x y z, one sigma)"
     )
+    print(_lens_line(np.sqrt(np.diag(of_lens)), lens, uncertainty, camera_path))
     world = {"position": position.tolist(), "orientation": orientation.tolist()}
     text = rewrite(rig.rig_text, {("world",): world}, options.rig)
     parse_rig(text, rig.camera_text, str(options.out), rig.offset_texts)
     text = relocate(text, Path(options.rig), options.out)
     kept = write_result_file(options.out, text, options.force)
     print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else ""))
+    for line in write_uncertainty_file(Path(options.rig), options.out, {}, options.force):
+        print(line)
     return 0
 
 
-def _from_survey(options: argparse.Namespace, rig: Rig) -> tuple[Pose, Floats]:
+def _lens_line(sigmas: Floats, lens: LensError, uncertainty: Uncertainty, camera_path: Path) -> str:
+    """How much of the standard deviations is the lens', and who says so."""
+    share = f"of that the lens: {_row(1e3 * sigmas[:3], 3)} mm, {_row(np.degrees(sigmas[3:]), 3)} degrees; "
+    numbers = (
+        f"f {uncertainty.focal_relative:.3%}, principal point {uncertainty.principal_point_px:g} px, distortion "
+        f"{uncertainty.distortion_relative:.1%}"
+    )
+    if lens.told_by == "assumed":
+        return (
+            f"{share}ASSUMED: {numbers}, since {camera_path} has no report of its calibration beside it (asterism "
+            "calibrate camera writes one) and no uncertainty.yaml says more"
+        )
+    if lens.told_by == str(uncertainty.file):
+        return f"{share}{numbers}, by {lens.told_by}"
+    partly = "" if lens.correlated else ", standard deviations only: calibrate anew for how they hang together"
+    return f"{share}by {lens.told_by} ({report_path(camera_path)}{partly})"
+
+
+def _from_survey(options: argparse.Namespace, rig: Rig, lens: Floats) -> tuple[Pose, Floats, Floats]:
     survey = read_survey(options.truth, [robot.id for robot in rig.robots], orientations=False)
     rig = without_world(rig)
     source = open_source(options.source, rig, say)
@@ -77,7 +110,8 @@ def _from_survey(options: argparse.Namespace, rig: Rig) -> tuple[Pose, Floats]:
     for remark in paired.remarks:
         say(remark)
     pairs = paired.pairs
-    fit = fit_world(pairs, str(options.truth))
+    with working("fitting the camera's place"):
+        fit = fit_world(pairs, str(options.truth))
     _tell(fit)
     axes = [fit.T_world_camera.rotation @ s.pose.rotation @ rig.robot(s.robot).axis for s, _ in pairs]
     if np.median([axis[2] for axis in axes]) < 0.0:
@@ -90,7 +124,8 @@ def _from_survey(options: argparse.Namespace, rig: Rig) -> tuple[Pose, Floats]:
             f"warning: the surveyed orientations differ from those seen by {np.degrees(fit.survey_sigma_rad):.0f} "
             "degrees (one sigma); are they T_world_robot, x y z w?"
         )
-    return fit.T_world_camera, fit.covariance
+    of_lens = spread_by_lens(fit, rig, lens)
+    return fit.T_world_camera, fit.covariance + of_lens, of_lens
 
 
 def _tell(fit: WorldFit) -> None:
@@ -125,8 +160,9 @@ def _tell(fit: WorldFit) -> None:
     )
 
 
-def _from_target(options: argparse.Namespace, rig: Rig) -> tuple[Pose, Floats]:
+def _from_target(options: argparse.Namespace, rig: Rig, lens: Floats) -> tuple[Pose, Floats, Floats]:
     target = parse_target(options.target)
+    refuse_symmetric(target)
     source = open_source(options.source, rig, say)
     warm_up()
     views, count = [], 0
@@ -134,13 +170,14 @@ def _from_target(options: argparse.Namespace, rig: Rig) -> tuple[Pose, Floats]:
         count += 1
         seen = find_points(frame.image, target)
         if seen is not None:
-            views.append(View(frame.name, seen.points, seen.pixels))
+            views.append(View(frame.name, seen))
     if not views:
         raise InputError(
             f"{options.source}: the target {options.target} is in none of its {count} frames, expected it whole in one "
             "at least; are columns and rows those of inner corners?"
         )
-    fit = fit_board(views, rig.camera)
+    with working("fitting the camera's place"):
+        fit = fit_board(views, rig.camera, lens)
     console = _console()
     table = Table(box=None, header_style="bold", padding=(0, 1))
     for name in ("frame", "residual px", "held out px"):
@@ -148,13 +185,13 @@ def _from_target(options: argparse.Namespace, rig: Rig) -> tuple[Pose, Floats]:
     for view, rms, held_out in list(zip(views, fit.rms_px, fit.held_out_px, strict=True))[:MOST_ROWS]:
         table.add_row(view.frame, f"{rms:.3f}", "-" if np.isnan(held_out) else f"{held_out:.3f}")
     console.print(table)
-    x, y = views[0].pixels[0]
+    x, y = views[0].seen.pixels[0]
     console.print(
         f"the target is in {len(views)} of {count} frames; the world's origin is its first point, at ({x:.0f}, "
         f"{y:.0f}) in frame {views[0].frame}, x runs along its first row, z points up from it, to the camera",
         highlight=False,
     )
-    return fit.T_world_camera, fit.covariance
+    return fit.T_world_camera, fit.covariance, fit.of_lens
 
 
 def _console() -> Console:

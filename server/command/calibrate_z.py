@@ -8,13 +8,17 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from asterism.protocol.camera import parse_camera
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, angle_between
 from asterism.protocol.rig import Rig, Robot, load_rig, parse_rig
 from asterism.protocol.yaml_file import parse_yaml
 from asterism.protocol.z_correction import ZCorrection
+from asterism.server.budget.uncertainty import LedError
+from asterism.server.budget.uncertainty_file import check_uncertainty_file, write_uncertainty_file
 from asterism.server.calibration.leds.labelled import solve_sightings
 from asterism.server.calibration.leds.observations import observe
+from asterism.server.calibration.lens.camera_file import refit_report_text, report_path
 from asterism.server.calibration.result_file import check_result_file, write_result_file
 from asterism.server.calibration.rewrite import Value, number, relocate, rewrite, without
 from asterism.server.calibration.survey.refit import Refit, refit
@@ -24,7 +28,7 @@ from asterism.server.calibration.survey.surveyed import Pairs, check_spread, che
 from asterism.server.calibration.survey.surveyed_fit import errors_of
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.calibrate import TRUTH, add_source_and_out
-from asterism.server.command.progress import progress
+from asterism.server.command.progress import progress, working
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
 
@@ -54,6 +58,8 @@ def run(options: argparse.Namespace) -> int:
     check_result_file(options.out, options.force)
     if not options.no_refit:
         check_result_file(camera_out, options.force)
+        check_result_file(report_path(camera_out), options.force)
+    check_uncertainty_file(options.out, options.force)
     refuse_endless(options.source, "calibrate z")
     given = load_rig(options.rig)
     rig = replace(given, z_correction=None)
@@ -67,13 +73,15 @@ def run(options: argparse.Namespace) -> int:
     paired = pair(survey, seen, source.name)
     check_survey(paired.pairs, rig, survey.name, FEWEST_POSES)
     check_spread(paired.pairs, survey.name)
-    found = refit(rig, paired.pairs)
+    with working("fitting lens, LEDs and poses, each pose held out in its turn"):
+        found = refit(rig, paired.pairs)
     for remark in paired.remarks:
         say(remark)
     kept = found.better and not options.no_refit
     new = found.rig if kept else rig
     used = [p for p, good in zip(paired.pairs, found.fit.used, strict=True) if good]
-    plane = None if options.no_plane else super_plane(new, used)
+    with working("choosing the super-plane"):
+        plane = None if options.no_plane else super_plane(new, used)
     correction = plane.correction if plane is not None else None
     _tell(found, rig, options.no_refit, plane, used)
 
@@ -82,12 +90,21 @@ def run(options: argparse.Namespace) -> int:
     camera_text = _camera_text(rig, new) if kept else rig.camera_text
     parse_rig(text, camera_text, str(options.out), rig.offset_texts)
     text = relocate(text, Path(options.rig), options.out)
-    olds = []
+    olds, beside = [], []
     if kept:
         text = rewrite(text, {("camera",): camera_out.name}, str(options.out))
-        olds.append(write_result_file(camera_out, camera_text, options.force))
+        beside = [camera_out, report_path(camera_out)]
+        written = parse_camera(camera_text, str(camera_out))
+        report = refit_report_text(written, found.lens_covariance, f"{options.source}, {options.truth}", len(used))
+        olds += [
+            write_result_file(path, each, options.force)
+            for path, each in zip(beside, (camera_text, report), strict=True)
+        ]
     olds.append(write_result_file(options.out, text, options.force))
-    print(f"written: {options.out}" + (f" and {camera_out}" if kept else ""))
+    print(f"written: {', '.join(str(path) for path in (options.out, *beside))}")
+    known = {robot: LedError(sigma, 0.0, "calibrate z") for robot, sigma in found.led_sigmas.items()} if kept else {}
+    for line in write_uncertainty_file(Path(options.rig), options.out, known, options.force, new_lens=kept):
+        print(line)
     if any(olds):
         print(f"kept beside: {', '.join(str(old) for old in olds if old)}")
     return 0

@@ -10,10 +10,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from asterism.protocol.rig import load_rig
+from asterism.server.command.progress import working
 from asterism.server.design.pose_bounds import Bound
 from asterism.server.design.rig_check import KINDS, SIGMA_PX, TYPICAL_DEG, RigCheck, check_rig
 from asterism.server.design.telling_apart import SIGMAS
-from asterism.server.service.say import say
 
 EXAMPLES = "asterism check rig.yaml\n"
 
@@ -28,7 +28,8 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print separations, pose conditioning, flip risk and a verdict."""
     rig = load_rig(options.rig)
-    found = check_rig(rig, (lambda what: say(f"{what} ...")) if len(rig.robots) > MOST_ROWS else (lambda _: None))
+    with working("checking") as now:
+        found = check_rig(rig, now)
     console = Console()
     if not console.is_terminal:
         console = Console(width=160)

@@ -9,22 +9,26 @@ from pathlib import Path
 import zenoh
 from rich.console import Console
 
-from asterism.clients.watch import RobotTable, show
+from asterism.clients.watch import show
+from asterism.clients.watched import RobotTable
 from asterism.protocol.codec import encode_rig
-from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
+from asterism.protocol.network import open_server
+from asterism.protocol.program import typed
 from asterism.protocol.rig import load_rig
 from asterism.recordings.recorder import Recorder
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.number_arguments import positive
-from asterism.server.command.shared_arguments import add_server, add_smoothing
+from asterism.server.command.shared_arguments import add_server, add_smoothing, client_words, named
+from asterism.server.output import check_folder_of_many
 from asterism.server.service.publish import Publisher
-from asterism.server.service.serve import Stop, serve, stop_on_signals
+from asterism.server.service.serve import Outlets, Run, Stop, stop_on_signals
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.simulation.simulate import Look
 from asterism.server.sources.simulated import Simulated
 
 EXAMPLES = "asterism demo\nasterism demo --seconds 5 --record /tmp\n"
 
+RECORD = Path("recordings-demo")
 # A well-shaded camera: its dark background packs well, so that the demonstration's recording stays small.
 LOOK = Look(background=4.0, read_noise=0.2)
 
@@ -33,15 +37,14 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     part.add_argument("--seconds", metavar="N", type=positive, default=20.0, help="how long (default: 20)")
     part.add_argument("--forever", action="store_true", help="until Ctrl-C")
-    part.add_argument(
-        "--record", metavar="DIR", type=Path, default=Path("recordings-demo"), help="default: recordings-demo"
-    )
+    part.add_argument("--record", metavar="DIR", type=named, default=RECORD, help="default: recordings-demo")
     add_smoothing(part)
     add_server(part)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run for --seconds, or until Ctrl-C, then say where to look."""
+    check_folder_of_many(options.record)
     rig = load_rig(DEMO_RIG)
     console = Console()
     stop = Stop()
@@ -49,11 +52,13 @@ def run(options: argparse.Namespace) -> int:
         session: zenoh.Session = open_server(options.listen, options.connect, options.zenoh)
         publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig)))
         warm_up()
+        stack.enter_context(stop_on_signals(stop))
         source = Simulated(rig, look=LOOK)
         table, drawn = RobotTable(), threading.Event()
         stack.callback(table.subscribe(session).clear)
         drawing = threading.Thread(target=show, args=(table, console, drawn), name="table")
         recorder = Recorder(options.record, rig, source.name, 1, wait=True)
+        served = Run(rig, source, Outlets(publisher, recorder), stop)
         drawing.start()
         try:
             if not options.forever:
@@ -61,22 +66,40 @@ def run(options: argparse.Namespace) -> int:
                 timer.daemon = True
                 timer.start()
                 stack.callback(timer.cancel)
-            with stop_on_signals(stop):
-                began = time.monotonic()
-                summary = serve(rig, source, publisher, recorder, stop, smoothed=options.smooth)
-                seconds = time.monotonic() - began
+            began = time.monotonic()
+            served.serve(smoothed=options.smooth)
+            seconds = time.monotonic() - began
         finally:
             drawn.set()
             drawing.join()
-            recorder.close({})
-    where = options.listen or options.connect or DEFAULT_ENDPOINT
-    option = "" if where == DEFAULT_ENDPOINT else f" --connect {where}"
-    again = "" if options.record == options.record.parent / "recordings-demo" else f" --record {options.record}"
-    print(f"\n{summary.frames} frames in {seconds:.0f} s, recorded in {recorder.folder}\n")
-    print(f"watch it live:   asterism demo --forever{again}   and, in another terminal:   asterism watch{option}")
-    print(f"play it again:   asterism replay {recorder.folder}")
-    print(f"look at it:      asterism review {recorder.folder}")
+            recorder.close(served.ending())
+    frames, *robots = served.summary()
+    print(f"\n{frames}, in {seconds:.0f} s; recorded in\n  {recorder.folder}")
+    print("\n".join([*(f"  {line}" for line in robots), *_next(options, recorder.folder)]))
     if recorder.problem:
         print(recorder.problem)
         return 1
     return 0
+
+
+def _next(options: argparse.Namespace, folder: Path) -> list[str]:
+    """What to look at next: commands that work as they are printed."""
+    server = _given(options, "listen", "connect", "zenoh")
+    client = client_words(options)
+    record = _given(options, "record") if options.record != RECORD else []
+    return [
+        "",
+        "look at it:",
+        f"  {typed('review', folder)}",
+        "play it again, and watch that in another terminal:",
+        f"  {typed('replay', folder, '--loop', *server)}",
+        f"  {typed('watch', '--prefix', 'replay/', *client)}",
+        "let it run, and watch it in another terminal:",
+        f"  {typed('demo', '--forever', *record, *server)}",
+        f"  {typed('watch', *client)}",
+    ]
+
+
+def _given(options: argparse.Namespace, *names: str) -> list[object]:
+    """Those of the options that were given, as they are typed."""
+    return [word for name in names if (value := getattr(options, name)) for word in (f"--{name}", value)]

@@ -7,16 +7,18 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.geometry import Floats
+from asterism.protocol.program import typed
 from asterism.protocol.rig import parse_rig
 from asterism.server.command.number_arguments import count, positive
+from asterism.server.command.progress import working
+from asterism.server.command.shared_arguments import add_out
 from asterism.server.design.drill_plan import drill_plan
 from asterism.server.design.page import pdf, svg
 from asterism.server.design.plate_design import FOCAL_PX, LED_RADIUS, RIM, Design, Request, design
 from asterism.server.design.plate_files import camera_text, rig_text
 from asterism.server.design.telling_apart import SIGMAS, TILT_DEG, image_px
-from asterism.server.service.say import say
+from asterism.server.output import check_folder, new_folder
 
 EXAMPLES = "asterism design --robots 8 --disc 0.1 --spacing 0.02 --distance 1.5 --sigma 0.05 -o plates\n"
 
@@ -28,35 +30,32 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     part.add_argument("--spacing", metavar="M", type=positive, required=True, help="between two LEDs at least, m")
     part.add_argument("--distance", metavar="M", type=positive, required=True, help="from the camera at most, m")
     part.add_argument("--sigma", metavar="PX", type=positive, required=True, help="of an LED's centre, px")
-    part.add_argument("-o", "--out", metavar="DIR", type=Path, required=True, help="a new folder")
+    add_out(part, "DIR", "a new or empty folder")
 
 
 def run(options: argparse.Namespace) -> int:
     """Write OUT/rig.yaml, camera.yaml and drill/ID.svg and .pdf; print what keeps the constellations apart."""
     out: Path = options.out
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: exists already, expected a new or empty folder")
+    check_folder(out, options.force)
     request = Request(options.robots, options.disc, options.spacing, options.distance, options.sigma)
-    say("searching (some ten seconds; the first time on a machine half a minute) ...")
-    found = design(request)
+    with working("searching"):
+        found = design(request)
     rig, camera = rig_text(found), camera_text()
     parse_rig(rig, camera, str(out))
-    try:
-        (out / "drill").mkdir(parents=True, exist_ok=True)
-        (out / "rig.yaml").write_text(rig, encoding="utf-8")
-        (out / "camera.yaml").write_text(camera, encoding="utf-8")
+    with new_folder(out, options.force) as made:
+        (made.path / "rig.yaml").write_text(rig, encoding="utf-8")
+        (made.path / "camera.yaml").write_text(camera, encoding="utf-8")
+        (made.path / "drill").mkdir()
         for name, layout in zip(found.names, found.layouts, strict=True):
             page = drill_plan(name, layout, request.disc, LED_RADIUS)
-            (out / "drill" / f"{name}.svg").write_text(svg(page), encoding="utf-8")
-            (out / "drill" / f"{name}.pdf").write_bytes(pdf(page))
-    except OSError as error:
-        raise WorldError(f"{out}: cannot be written ({error.strerror})") from None
+            (made.path / "drill" / f"{name}.svg").write_text(svg(page), encoding="utf-8")
+            (made.path / "drill" / f"{name}.pdf").write_bytes(pdf(page))
     _tell(found)
     print(
         f"written: {out / 'rig.yaml'}; {out / 'camera.yaml'}, nominal: put your calibrated camera's in its place; "
-        f"{out / 'drill'}: a drill plan of each, SVG and PDF"
+        f"{out / 'drill'}: a drill plan of each, SVG and PDF{made.note}"
     )
-    print(f"next: asterism check {out / 'rig.yaml'}")
+    print(f"next: {typed('check', out / 'rig.yaml')}")
     return 0
 
 

@@ -1,26 +1,34 @@
 """asterism locate: poses of images, a video or a recording, as JSON lines."""
 
 import argparse
+import contextlib
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import msgspec
 
-from asterism.protocol.errors import InputError, WorldError
+from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Pose
-from asterism.protocol.rig import load_rig
+from asterism.protocol.rig import Rig, load_rig
 from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.chain.pipeline import localize
 from asterism.server.chain.smooth import Motions, smooth
 from asterism.server.chain.warm_up import warm_up
-from asterism.server.command.progress import progress
-from asterism.server.command.shared_arguments import FINITE_SOURCE, add_smoothing
+from asterism.server.command.shared_arguments import FINITE_SOURCE, add_out, add_smoothing
+from asterism.server.output import check_file, new_file
 from asterism.server.pose.solve import PoseEstimate
 from asterism.server.pose.track import Tracks
+from asterism.server.service.adviser import Adviser
+from asterism.server.service.live_line import LiveLine, Now
 from asterism.server.service.say import say, say_warnings
+from asterism.server.service.serve import Stop, stop_on_signals
+from asterism.server.service.tally import Tally
 from asterism.server.sources.open_source import open_source, refuse_endless
+from asterism.server.sources.source import Source
 
 EXAMPLES = (
     "asterism locate rig.yaml frames/ -o poses.jsonl\n"
@@ -32,9 +40,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     part.add_argument("rig", metavar="RIG", help="rig.yaml")
     part.add_argument("source", metavar="SOURCE", help=FINITE_SOURCE)
-    part.add_argument(
-        "-o", "--out", metavar="OUT", type=Path, required=True, help="where the lines go; - for the terminal"
-    )
+    add_out(part, "OUT", "where the lines go; - for the terminal")
     part.add_argument("--independent", action="store_true", help="each frame alone, without what came before")
     add_smoothing(part)
 
@@ -43,27 +49,61 @@ def run(options: argparse.Namespace) -> int:
     """Localize every frame; nothing is waited for, nothing is dropped."""
     if options.independent and options.smooth:
         raise InputError("--independent and --smooth exclude each other: each frame alone, or joined to those before")
+    if str(options.out) != "-":
+        check_file(options.out, options.force)
     rig = load_rig(options.rig)
     say_warnings(rig)
     refuse_endless(options.source, "locate")
     source = open_source(options.source, rig, say)
     warm_up()
-    encoder = msgspec.json.Encoder()
-    tracks, motions = Tracks.none(), Motions.none()
-    with _output(options.out) as out:
-        for frame in progress(source.frames(), source.length, "localizing"):
-            result, after = localize(frame, rig, tracks)
-            if not options.independent:
-                tracks = after
-            if options.smooth:
-                result, motions = smooth(result, motions)
-            try:
+    encoder, stop = msgspec.json.Encoder(), Stop()
+    tally = Tally(robot.id for robot in rig.robots)
+    adviser = Adviser(rig, tally, say)
+    with _output(options.out, options.force) as out:
+        with stop_on_signals(stop), _live_line(options.out, source, tally):
+            for frame, result in _located(source.frames(), rig, options.independent, options.smooth):
                 out.write(encoder.encode(line(frame, result)) + b"\n")
-            except OSError as error:
-                raise WorldError(f"{options.out}: cannot be written ({error.strerror})") from None
+                tally.add(frame, result)
+                adviser.look()
+                if stop():
+                    break
+        _tell(source, tally, adviser, stop())
+        if stop():
+            raise KeyboardInterrupt  # so that half of it does not stand under the name of the whole
+    return 0
+
+
+def _tell(source: Source, tally: Tally, adviser: Adviser, stopped: bool) -> None:
     if source.unreadable:
         say(f"{source.unreadable} images could not be read and were skipped")
-    return 0
+    say(f"{tally.frames} frames" + (f" of {source.length}" if stopped and source.length else ""))
+    for told in adviser.summary():
+        say(told)
+
+
+def _located(
+    frames: Iterator[Frame], rig: Rig, independent: bool, smoothed: bool
+) -> Iterator[tuple[Frame, FrameResult]]:
+    tracks, motions = Tracks.none(), Motions.none()
+    for frame in frames:
+        result, after = localize(frame, rig, tracks)
+        if not independent:
+            tracks = after
+        if smoothed:
+            result, motions = smooth(result, motions)
+        yield frame, result
+
+
+def _live_line(out: Path, source: Source, tally: Tally) -> AbstractContextManager[object]:
+    """How it goes; nothing where the lines themselves run over the terminal."""
+    if str(out) == "-" and sys.stdout.isatty():
+        return nullcontext()
+
+    def now() -> Now:
+        notes = [f"{source.unreadable} unreadable"] if source.unreadable else []
+        return Now(tally.frames, source.length, tally.rate_hz(), tally.newest(), notes)
+
+    return LiveLine(now)
 
 
 def line(frame: Frame, result: FrameResult) -> dict[str, Any]:
@@ -97,10 +137,13 @@ def _pose(pose: Pose) -> dict[str, list[float]]:
     return {"position": pose.position.tolist(), "orientation": pose.orientation.tolist()}
 
 
-def _output(path: Path) -> BinaryIO:
+@contextlib.contextmanager
+def _output(path: Path, force: bool) -> Iterator[BinaryIO]:
     if str(path) == "-":
-        return os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    try:
-        return path.open("wb")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+        with os.fdopen(os.dup(sys.stdout.fileno()), "wb") as stream:
+            yield stream
+        return
+    with new_file(path, force, keep=True) as output, output.path.open("wb") as stream:
+        yield stream
+    if output.kept:
+        say(f"{path}: the old one is kept as {output.kept}")

@@ -4,6 +4,8 @@ import argparse
 import math
 from collections.abc import Callable
 
+MOST_DIGITS = 15
+
 
 def positive(text: str) -> float:
     """A number above 0."""
@@ -26,8 +28,26 @@ def number(text: str) -> float:
 
 def count(text: str) -> int:
     """A whole number above 0."""
-    if not text.isdigit() or int(text) == 0:
+    value = _digits(text)
+    if not value:
         raise argparse.ArgumentTypeError(f"{text!r}, expected a whole number above 0")
+    return value
+
+
+def whole(text: str) -> int:
+    """A whole number, 0 or more."""
+    value = _digits(text)
+    if value is None:
+        raise argparse.ArgumentTypeError(f"{text!r}, expected a whole number, 0 or more")
+    return value
+
+
+def _digits(text: str) -> int | None:
+    """The number, None for what is none; what no computer counts to is refused as such."""
+    if not (text.isascii() and text.isdigit()):
+        return None
+    if len(text) > MOST_DIGITS:
+        raise argparse.ArgumentTypeError(f"{text[:20]}..., expected a number of at most {MOST_DIGITS} digits")
     return int(text)
 
 

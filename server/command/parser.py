@@ -2,10 +2,13 @@
 
 import argparse
 import importlib
+import re
 from types import ModuleType
 from typing import NoReturn
 
 from asterism import __version__
+from asterism.protocol.program import NAME, program
+from asterism.server.command.shared_arguments import add_telling
 
 COMMANDS = {
     "demo": "simulated camera, five robots on a curved surface: serve, record, watch",
@@ -16,6 +19,7 @@ COMMANDS = {
     "review": "look at a recording in the rerun viewer",
     "compare": "differences of two recordings, per robot and field",
     "recover": "make a recording that was cut off readable again",
+    "example": "a folder to try everything in without hardware, with a README.md to follow",
     "simulate": "frames of simulated robots, with truth",
     "calibrate": "camera, LED positions, world, LED offset, Z: find what is off and remove it",
     "report": "the error budget of a rig and its workspace, with plots",
@@ -38,12 +42,13 @@ class Parser(argparse.ArgumentParser):
     examples = ""
 
     def format_help(self) -> str:
-        """The examples, then argparse's own help."""
-        return f"{self.examples}\n{super().format_help()}" if self.examples else super().format_help()
+        """The examples, by the name that this program was started with, then argparse's own help."""
+        examples = re.sub(f"^{NAME} ", lambda _: f"{program()} ", self.examples, flags=re.MULTILINE)
+        return f"{examples}\n{super().format_help()}" if examples else super().format_help()
 
     def error(self, message: str) -> NoReturn:
         """One sentence and exit code 2."""
-        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+        self.exit(2, f"{self.prog}: {message}; see {self.prog.replace(NAME, program(), 1)} --help\n")
 
 
 def module_of(command: str) -> ModuleType:
@@ -75,3 +80,4 @@ def add_commands(
                 add_commands(part, module.SUBCOMMANDS, name, words)
             else:
                 module.add_arguments(part)
+                add_telling(part)

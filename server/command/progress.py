@@ -1,23 +1,50 @@
-"""A progress bar for long work, on terminals only."""
+"""What shows that long work goes on, on terminals only: a bar where its length is known, else the time it has taken."""
 
-from collections.abc import Iterable, Iterator
+import contextlib
+import logging
+from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from asterism.server.service.telling import shows_progress
 
 T = TypeVar("T")
+
+_LOG = logging.getLogger(__name__)
 
 
 def progress(items: Iterable[T], length: int | None, what: str) -> Iterator[T]:
     """The items, with a bar that shows how far it is; ``length`` is how many there are, if that is known."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
+    _LOG.debug("%s, %s", what, "no end known" if length is None else f"{length} in all")
+    if not shows_progress():
         yield from items
         return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=length)
         for item in items:
             yield item
             bar.advance(task)
+
+
+@contextlib.contextmanager
+def working(what: str) -> Iterator[Callable[[str], None]]:
+    """Show that something is worked on, and for how long; call what it gives with what is done now."""
+    _LOG.debug(what)
+    if not shows_progress():
+        yield _LOG.debug
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=None)
+
+        def now(step: str) -> None:
+            _LOG.debug(step)
+            bar.update(task, description=f"{what}: {step}")
+
+        yield now

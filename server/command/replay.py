@@ -10,10 +10,11 @@ from asterism.protocol.codec import decode_frame_report, encode_rig
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import FRAME_REPORT, Message
 from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
+from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.reader import Recording
 from asterism.server.command.number_arguments import positive
-from asterism.server.command.shared_arguments import add_recording, add_server
+from asterism.server.command.shared_arguments import add_recording, add_server, client_words
 from asterism.server.service.publish import Publisher, is_alive
 from asterism.server.service.say import say
 from asterism.server.service.serve import Stop, stop_on_signals
@@ -66,13 +67,15 @@ def run(options: argparse.Namespace) -> int:
         stack.enter_context(stop_on_signals(stop))
         where = options.connect or options.listen or options.zenoh or DEFAULT_ENDPOINT
         say(f"replaying {options.recording} at {where} under {prefix}asterism/{rig.camera.name}")
+        prefixed = ["--prefix", prefix] if prefix else []
+        say(f"watch it in another terminal: {typed('watch', *prefixed, *client_words(options))}")
         published = 0
         while not stop():
             source = _solved(recording, rig) if options.solve is not None else recording.messages()
             published += _play(_wire(source), publisher, options.speed, stop)
             if not options.loop:
                 break
-    say(f"{published} messages published")
+    say(f"{'stopped after ' if stop() else ''}{published} messages published")
     return 0
 
 

@@ -7,21 +7,21 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.rig import Rig, load_rig
 from asterism.protocol.yaml_file import parse_yaml
 from asterism.server.budget.budget import SOURCES, Light
-from asterism.server.budget.page import page
+from asterism.server.budget.page import assumptions, page
 from asterism.server.budget.plots import plots_of
 from asterism.server.budget.truth import Bin, Compared, bins_of, compare, light_of
-from asterism.server.budget.uncertainty import Uncertainty, read_uncertainty
+from asterism.server.budget.uncertainty import FILE, Uncertainty, own_path, read_uncertainty
 from asterism.server.budget.workspace import Budget, budget_of
 from asterism.server.calibration.leds.observations import observe
 from asterism.server.calibration.survey.survey import match_frames, read_survey
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.calibrate import TRUTH
-from asterism.server.command.progress import progress
-from asterism.server.command.shared_arguments import FINITE_SOURCE
+from asterism.server.command.progress import progress, working
+from asterism.server.command.shared_arguments import FINITE_SOURCE, add_out
+from asterism.server.output import check_folder, new_folder
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
 
@@ -36,14 +36,13 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     part.add_argument(
         "--truth", metavar=("TRUTH", "SOURCE"), nargs=2, help=f"measured beside predicted: {TRUTH}, and {FINITE_SOURCE}"
     )
-    part.add_argument("-o", "--out", metavar="DIR", type=Path, required=True, help="where page and plots go")
+    add_out(part, "DIR", "where page and plots go, a new or empty folder")
 
 
 def run(options: argparse.Namespace) -> int:
     """Write DIR/report.html and its plots, print the essence."""
     out: Path = options.out
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: exists already, expected a new or empty folder")
+    check_folder(out, options.force)
     rig = load_rig(options.rig)
     camera = Path(options.rig).parent / parse_yaml(rig.rig_text, options.rig).text("camera")
     uncertainty = read_uncertainty(Path(options.rig), rig.centre, camera)
@@ -53,23 +52,23 @@ def run(options: argparse.Namespace) -> int:
         truth, source = options.truth
         compared, light = _compare(rig, Path(truth), source, uncertainty, light)
         measured = (compared, bins_of(compared), f"{source} beside {truth}")
-    budget = budget_of(rig, uncertainty, light)
-    plots = plots_of(rig, budget, *(measured[:2] if measured else (None, [])))
+    with working("reckoning the budget") as now:
+        budget = budget_of(rig, uncertainty, light)
+        now("plots")
+        plots = plots_of(rig, budget, *(measured[:2] if measured else (None, [])))
     text = page(Path(options.rig).name, rig, uncertainty, light, budget, plots, measured)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
+    with new_folder(out, options.force) as made:
         for plot in plots:
-            (out / plot.name).write_bytes(plot.png)
-        (out / PAGE).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise WorldError(f"{out}: cannot be written ({error.strerror})") from None
+            (made.path / plot.name).write_bytes(plot.png)
+        (made.path / PAGE).write_text(text, encoding="utf-8")
     console = Console()
     if not console.is_terminal:
         console = Console(width=130)
+    console.print(_known(rig, options.rig, uncertainty, light))
     console.print(_table(budget))
     if measured:
         _tell(console, measured[0], measured[1])
-    print(f"written: {out / PAGE} and {len(plots)} plots beside it")
+    print(f"written: {out / PAGE} and {len(plots)} plots beside it{made.note}")
     return 0
 
 
@@ -87,6 +86,25 @@ def _compare(rig: Rig, truth: Path, source_name: str, uncertainty: Uncertainty, 
         say(remark)
     light = light_of(rig, light, [sighting for _, sightings in seen for sighting in sightings])
     return compare(rig, seen, matched.frames, uncertainty, light), light
+
+
+def _known(rig: Rig, rig_name: str, uncertainty: Uncertainty, light: Light) -> Table:
+    """What is taken for one standard deviation of every source, and who says so: nobody, a person, a calibration."""
+    own, shared = own_path(Path(rig_name)), Path(rig_name).parent / FILE
+    unread = uncertainty.file == own and shared.exists()
+    where = f"by {uncertainty.file}" if uncertainty.file else f"neither {own.name} nor {FILE} is beside the rig"
+    table = Table(
+        title=f"what is not known exactly ({where}{f', {FILE} is not read' if unread else ''})",
+        box=None,
+        header_style="bold",
+        padding=(0, 1),
+    )
+    table.add_column("source", no_wrap=True)
+    table.add_column("one standard deviation")
+    table.add_column("who says so")
+    for name, what, origin in assumptions(uncertainty, light, rig):
+        table.add_row(name, what, origin, style="yellow" if "assumed" in origin else "")
+    return table
 
 
 def _table(budget: Budget) -> Table:

@@ -10,12 +10,14 @@ from pathlib import Path
 import rerun as rr
 
 from asterism.protocol.codec import decode_frame_report, decode_image
-from asterism.protocol.errors import InputError, WorldError
+from asterism.protocol.errors import InputError
 from asterism.protocol.messages import FRAME_REPORT, IMAGE
-from asterism.recordings.drawing import APPLICATION, Drawing, blueprint
+from asterism.recordings.drawing import APPLICATION, Drawing
+from asterism.recordings.layout import blueprint
 from asterism.recordings.reader import Recording
 from asterism.server.command.progress import progress
-from asterism.server.command.shared_arguments import add_recording
+from asterism.server.command.shared_arguments import add_out, add_recording
+from asterism.server.output import check_file, new_file
 
 EXAMPLES = "asterism review RECORDING\nasterism review RECORDING -o recording.rrd\n"
 
@@ -23,17 +25,20 @@ EXAMPLES = "asterism review RECORDING\nasterism review RECORDING -o recording.rr
 def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     add_recording(part)
-    part.add_argument("-o", "--out", metavar="FILE.rrd", type=Path, help="write it instead of opening the viewer")
+    add_out(part, "FILE.rrd", "write it instead of opening the viewer", required=False)
 
 
 def run(options: argparse.Namespace) -> int:
     """Write the rerun recording to -o, or to a temporary file that the viewer opens."""
-    recording = Recording(options.recording)
     if options.out is not None:
         if options.out.suffix != ".rrd":
             raise InputError(f"{options.out}: expected a file name ending in .rrd")
-        write_rrd(recording, options.out)
-        print(f"{options.out}: open it with: rerun {options.out}")
+        check_file(options.out, options.force)
+    recording = Recording(options.recording)
+    if options.out is not None:
+        with new_file(options.out, options.force) as output:
+            write_rrd(recording, output.path)
+        print(f"{options.out}: open it with: rerun {options.out}{output.note}")
         return 0
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError("there is no display for the viewer; write a file instead: -o FILE.rrd")
@@ -45,13 +50,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def write_rrd(recording: Recording, out: Path) -> None:
-    """Draw a whole recording into a rerun file. Raises WorldError if it cannot be written."""
+    """Draw a whole recording into a rerun file."""
     rig = recording.rig()
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.touch()
-    except OSError as error:
-        raise WorldError(f"{out}: cannot be written ({error.strerror})") from None
     stream = rr.RecordingStream(APPLICATION, recording_id=recording.path.name)
     stream.save(out, default_blueprint=blueprint(rig))
     drawing = Drawing(stream, rig)

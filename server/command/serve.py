@@ -2,20 +2,23 @@
 
 import argparse
 from contextlib import ExitStack
-from pathlib import Path
 
 from asterism.protocol.codec import encode_rig
 from asterism.protocol.errors import InputError
 from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
-from asterism.protocol.rig import load_rig
+from asterism.protocol.program import typed
+from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.recorder import Recorder
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.number_arguments import count, positive
-from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing
+from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing, named
+from asterism.server.output import check_folder_of_many
+from asterism.server.service.live_line import LiveLine
 from asterism.server.service.publish import Publisher
 from asterism.server.service.say import say, say_warnings
-from asterism.server.service.serve import Sink, Stop, serve, stop_on_signals
+from asterism.server.service.serve import Outlets, Run, Sink, Stop, stop_on_signals
 from asterism.server.sources.open_source import open_source
+from asterism.server.sources.source import Source
 
 EXAMPLES = (
     "asterism serve rig.yaml /dev/video0 --record recordings\n"
@@ -29,7 +32,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     part.add_argument("rig", metavar="RIG", help="rig.yaml")
     part.add_argument("source", metavar="SOURCE", help=SOURCE)
     part.add_argument("--rate", metavar="HZ", type=positive, help="play images or a video at this rate")
-    part.add_argument("--record", metavar="DIR", type=Path, help="record into a new folder in DIR")
+    part.add_argument("--record", metavar="DIR", type=named, help="record into a new folder in DIR")
     part.add_argument(
         "--record-frames",
         metavar="all|N|none",
@@ -50,6 +53,8 @@ def _every(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Serve until the source ends or Ctrl-C; exit code 1 if the recording had to end early."""
+    if options.record is not None:
+        check_folder_of_many(options.record)
     rig = load_rig(options.rig)
     say_warnings(rig)
     if options.listen and options.connect:
@@ -62,31 +67,35 @@ def run(options: argparse.Namespace) -> int:
         session = open_server(options.listen, options.connect, options.zenoh)
         publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig)))
         warm_up()
+        stack.enter_context(stop_on_signals(stop))
         sinks: tuple[Sink, ...] = ()
         if options.rerun:
             from asterism.server.service.live_view import LiveView
 
             sinks = (stack.enter_context(LiveView(rig)).write,)
-        recorder = None
-        if options.record is not None:
-            recorder = Recorder(options.record, rig, source.name, options.record_frames, wait=not source.live)
         where = options.connect or options.listen or options.zenoh or DEFAULT_ENDPOINT
         say(f"serving {len(rig.robots)} robots of camera '{rig.camera.name}' from {source.name} at {where}")
-        if recorder is not None:
-            say(f"recording to {recorder.folder}")
-        summary = None
+        recorder = _recorder(options, rig, source)
+        served = Run(rig, source, Outlets(publisher, recorder, sinks), stop)
         try:
-            with stop_on_signals(stop):
-                summary = serve(rig, source, publisher, recorder, stop, options.rate, sinks, options.smooth)
+            with LiveLine(served.now):
+                served.serve(options.rate, options.smooth)
         finally:
             if recorder is not None:
-                ending = {} if summary is None else {"frames": str(summary.frames), "dropped": str(summary.dropped)}
-                recorder.close(ending)
-    say(
-        f"{summary.frames} frames, {summary.dropped} dropped, {summary.unreadable} unreadable"
-        + (f", {summary.left_out} not recorded" if recorder is not None else "")
-    )
+                recorder.close(served.ending())
+                say(f"recorded in {recorder.folder}; look at it with")
+                say(f"  {typed('review', recorder.folder)}")
+    for line in served.summary():
+        say(line)
     if recorder is not None and recorder.problem:
         say(recorder.problem)
         return 1
     return 0
+
+
+def _recorder(options: argparse.Namespace, rig: Rig, source: Source) -> Recorder | None:
+    if options.record is None:
+        return None
+    recorder = Recorder(options.record, rig, source.name, options.record_frames, wait=not source.live)
+    say(f"recording to {recorder.folder}")
+    return recorder

@@ -1,6 +1,7 @@
 """Arguments that several commands take, described once."""
 
 import argparse
+import json
 from pathlib import Path
 
 SOURCE = "a camera (0, /dev/video0), a folder or glob of images, a video, a recording, or sim"
@@ -26,11 +27,53 @@ def _add_zenoh(part: argparse.ArgumentParser) -> None:
     part.add_argument("--zenoh", metavar="FILE", type=Path, help="any zenoh options, as JSON5")
 
 
+def client_words(options: argparse.Namespace) -> list[str]:
+    """The arguments with which `watch`, on this machine, finds what was started with the options of `add_server`."""
+    from asterism.protocol.network import DEFAULT_ENDPOINT, server_config
+
+    where = options.connect or options.listen
+    if where is None and options.zenoh is not None:
+        config = server_config(options=options.zenoh)
+        kind = "connect" if json.loads(config.get_json("mode")) == "client" else "listen"
+        endpoints = json.loads(config.get_json(f"{kind}/endpoints"))
+        where = endpoints[0] if isinstance(endpoints, list) and endpoints else None
+    return [] if where in (None, DEFAULT_ENDPOINT) else ["--connect", where]
+
+
 def add_smoothing(part: argparse.ArgumentParser) -> None:
     """Whether poses are joined to those before."""
     part.add_argument(
         "--smooth", action="store_true", help="join poses to those before by a motion model, and label them so"
     )
+
+
+def add_out(part: argparse.ArgumentParser, metavar: str, what: str, required: bool = True) -> None:
+    """What a command writes, and whether it may replace what is there."""
+    part.add_argument("-o", "--out", metavar=metavar, type=named, required=required, help=what)
+    add_force(part)
+
+
+def add_force(part: argparse.ArgumentParser) -> None:
+    """Whether a command may replace what is there."""
+    part.add_argument("--force", action="store_true", help="replace what is there, keeping the old one as NAME.old-1")
+
+
+def add_telling(part: argparse.ArgumentParser) -> None:
+    """How much a command tells; every command has it."""
+    group = part.add_argument_group("what is told")
+    how_much = group.add_mutually_exclusive_group()
+    how_much.add_argument("--quiet", action="store_true", help="only results and errors")
+    how_much.add_argument("--verbose", action="store_true", help="details too, for finding out what is wrong")
+    group.add_argument(
+        "--log", metavar="FILE", type=named, help="all of it goes into FILE too, with UTC times; what is there stays"
+    )
+
+
+def named(text: str) -> Path:
+    """The path of a file or folder."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError(f"{text!r}, expected a name")
+    return Path(text)
 
 
 def add_recording(part: argparse.ArgumentParser) -> None:

@@ -1,20 +1,22 @@
 """asterism simulate: frames of simulated robots, with truth."""
 
 import argparse
-import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import msgspec
 
-from asterism.protocol.errors import InputError, WorldError
+from asterism.protocol.errors import InputError
 from asterism.protocol.rig import Rig, load_rig
 from asterism.protocol.yaml_file import parse_yaml
-from asterism.server.command.number_arguments import count, positive, share
+from asterism.server.command.number_arguments import count, positive, share, whole
 from asterism.server.command.progress import progress
+from asterism.server.command.shared_arguments import add_force, named
+from asterism.server.output import check_folder, new_folder
 from asterism.server.simulation.hand_film import hand_pose
-from asterism.server.simulation.simulate import Look, Scene
+from asterism.server.simulation.simulate import Look, Scene, Truth
 from asterism.server.sources.source import DEFAULT_RATE_HZ
 
 EXAMPLES = (
@@ -27,69 +29,64 @@ EXAMPLES = (
 def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     part.add_argument("rig", metavar="RIG", help="rig.yaml")
-    part.add_argument("out", metavar="OUT", type=Path, help="a new folder")
+    part.add_argument("out", metavar="OUT", type=named, help="a new or empty folder")
+    add_force(part)
     part.add_argument("--frames", metavar="N", type=count, default=60, help="how many (default: 60)")
     part.add_argument("--rate", metavar="HZ", type=positive, help="default: the rig's capture.rate, or 60")
-    part.add_argument("--seed", metavar="N", type=int, default=0, help="default: 0")
+    part.add_argument("--seed", metavar="N", type=whole, default=0, help="default: 0")
     part.add_argument(
         "--hide", metavar="P", type=share, default=0.0, help="probability that an LED is hidden (default: 0)"
     )
     part.add_argument(
         "--hand", metavar="ROBOT", help="this robot alone, shown by hand from all sides: a film to calibrate with"
     )
-    part.add_argument("--glints", metavar="N", type=int, default=0, help="glints a frame (default: 0)")
+    part.add_argument("--glints", metavar="N", type=whole, default=0, help="glints a frame (default: 0)")
 
 
 def run(options: argparse.Namespace) -> int:
     """Write OUT/frames/NNNNN.png, OUT/truth.jsonl (in locate's format, with `visible`), and the rig's files."""
-    rig = load_rig(options.rig)
-    if options.glints < 0:
-        raise InputError(f"--glints: {options.glints}, expected 0 or more")
     out: Path = options.out
-    frames = out / "frames"
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: exists already, expected a new or empty folder")
+    check_folder(out, options.force)
+    rig = load_rig(options.rig)
     files = _files(Path(options.rig), rig)
     rate = options.rate or rig.capture.rate_hz or DEFAULT_RATE_HZ
     shown = rig if options.hand is None else _alone(rig, options.hand)
     scene = Scene(shown, options.seed, Look(hidden=options.hide, glints=options.glints))
     encoder = msgspec.json.Encoder()
-    try:
-        frames.mkdir(parents=True)
-        (out / "rig.yaml").write_text(rig.rig_text)
+    with new_folder(out, options.force) as made:
+        frames = made.path / "frames"
+        frames.mkdir()
+        (made.path / "rig.yaml").write_text(rig.rig_text, encoding="utf-8")
         for name, text in files.items():
-            file = out / name
+            file = made.path / name
             file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_text(text)
-        with (out / "truth.jsonl").open("wb") as truth_file:
+            file.write_text(text, encoding="utf-8")
+        with (made.path / "truth.jsonl").open("wb") as truth_file:
             for index in progress(range(options.frames), options.frames, "simulating"):
                 truth = scene.truth(index, index / rate)
                 if options.hand is not None:
                     pose = hand_pose(rig, shown.robots[0], index, options.frames, options.seed)
                     truth = [replace(truth[0], T_camera_robot=pose)]
                 name = f"{index:05d}.png"
-                if not cv2.imwrite(str(frames / name), scene.render(index, truth)):
-                    raise WorldError(f"{frames / name}: cannot be written; is the disk full?")
-                robots = []
-                for entry in truth:
-                    pose = entry.T_camera_robot
-                    if rig.T_world_camera is not None:
-                        pose = rig.T_world_camera @ pose
-                    robots.append(
-                        {
-                            "id": entry.robot,
-                            "position": pose.position.tolist(),
-                            "orientation": pose.orientation.tolist(),
-                            "visible": sum(entry.lit),
-                        }
-                    )
+                _, png = cv2.imencode(".png", scene.render(index, truth))
+                (frames / name).write_bytes(png.tobytes())
+                robots = [_truth_line(entry, rig) for entry in truth]
                 line = {"frame": name, "exposed_ns": round(index * 1e9 / rate), "robots": robots}
                 truth_file.write(encoder.encode(line) + b"\n")
-    except OSError as error:
-        shutil.rmtree(frames, ignore_errors=True)
-        raise WorldError(f"{out}: cannot be written ({error.strerror})") from None
-    print(f"{options.frames} frames in {frames}, their truth in {out / 'truth.jsonl'}")
+    print(f"{options.frames} frames in {out / 'frames'}, their truth in {out / 'truth.jsonl'}{made.note}")
     return 0
+
+
+def _truth_line(entry: Truth, rig: Rig) -> dict[str, Any]:
+    pose = entry.T_camera_robot
+    if rig.T_world_camera is not None:
+        pose = rig.T_world_camera @ pose
+    return {
+        "id": entry.robot,
+        "position": pose.position.tolist(),
+        "orientation": pose.orientation.tolist(),
+        "visible": sum(entry.lit),
+    }
 
 
 def _alone(rig: Rig, robot: str) -> Rig:

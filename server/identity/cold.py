@@ -5,11 +5,13 @@ from numpy.typing import NDArray
 
 from asterism.server.centres.blobs import Ints
 from asterism.server.identity import assign
-from asterism.server.identity.evidence import best_version
+from asterism.server.identity.evidence import Version, best_version
 from asterism.server.identity.fours import fours
+from asterism.server.identity.hypotheses import COST, ROBOT, Found
+from asterism.server.identity.hypotheses import HEIGHT as FIT_HEIGHT
+from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan
-from asterism.server.identity.search import COST, MIRROR_RATIO, ROBOT, Found, Spots, searched
-from asterism.server.identity.search import HEIGHT as FIT_HEIGHT
+from asterism.server.identity.search import MIRROR_RATIO, searched
 from asterism.server.pose.fit import CHI2, LEDS, SYSTEMATIC_PX, median_of
 
 PRIOR_SYSTEMATIC_PX = 0.08  # what to expect of calibration and LED positions before a robot was seen
@@ -97,8 +99,10 @@ def _scored(
     robot: int, labels: Ints, sigma_px: float, spots: Spots, plan: Plan, wanted: int
 ) -> list[assign.Hypothesis]:
     """The best version of a fit with its score; nothing if there is no pose."""
-    best, rotation, t = np.empty(LEDS, np.int64), np.empty((3, 3)), np.empty(3)
+    best = Version(np.empty(LEDS, np.int64), np.empty((3, 3)), np.empty(3))
     value, height = best_version(
-        plan.layouts[robot], plan.extents[robot], labels, spots, plan.focal, sigma_px, wanted, best, rotation, t
+        plan.layouts[robot], plan.extents[robot], labels, spots, plan.focal, sigma_px, wanted, best
     )
-    return [assign.Hypothesis(robot, tuple(best.tolist()), height, value, rotation, t)] if value > -np.inf else []
+    if value == -np.inf:
+        return []
+    return [assign.Hypothesis(robot, tuple(best.labels.tolist()), height, value, best.rotation, best.t)]

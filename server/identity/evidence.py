@@ -1,11 +1,12 @@
 """How much likelier spots are as the LEDs of a robot than as chance: the score of a hypothesis."""
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from asterism.server.compiled import compiled
-from asterism.server.pose.fit import LEDS, fit_labelled, median_of
+from asterism.server.pose.fit import LEDS, fit_labelled, fit_room, median_of
 from asterism.server.pose.planar import NO_SOLUTION
 
 HIDDEN = math.log(10.0)  # what a hidden LED costs: one in ten is
@@ -110,38 +111,41 @@ def is_alone(flat, free, heights, spots):
     return like <= count
 
 
+class Version(NamedTuple):
+    """Room for a version of a fit: its spots ``labels`` (6,), ``rotation`` (3, 3) and ``t`` (3,) of T_camera_plane."""
+
+    labels: Any
+    rotation: Any
+    t: Any
+
+
 @compiled
-def best_version(layout, extent, labels, spots, focal, sigma_px, robots, best_labels, rotation, t):
+def best_version(layout, extent, labels, spots, focal, sigma_px, robots, version):
     """Score a fit, and what it is without each of its LEDs if it has six: one may be somebody else's light.
 
-    ``labels`` (6,) are its spots among ``spots`` (`search.Spots`); ``sigma_px`` is what calibration and LED positions
-    are off; ``robots`` are still sought. Fills ``best_labels`` (6,), ``rotation`` (3, 3) and ``t`` (3,) and returns
-    score and median height of the best version; a score of -inf if there is no pose.
+    ``layout`` (6, 3) m and its ``extent``, m; ``labels`` (6,) are its spots among ``spots`` (`neighbours.Spots`);
+    ``sigma_px`` is what calibration and LED positions are off; ``robots`` are still sought. Fills the best `Version`
+    and returns its score and median height; a score of -inf if there is no pose.
     """
-    points, seen, information = np.empty((LEDS, 3)), np.empty((LEDS, 2)), np.empty((LEDS, 3))
-    rotations, ts, h = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty((3, 3))
-    trial = np.empty(LEDS, np.int64)
+    room, trial = fit_room(), np.empty(LEDS, np.int64)
     variances_px2 = sigma_px**2 + spots.variances * focal**2
     best, best_height = -np.inf, 0.0
     complete = True
     for led in range(LEDS):
         complete &= labels[led] >= 0
-    for version in range(1 + LEDS if complete else 1):
+    for without in range(1 + LEDS if complete else 1):
         trial[:] = labels
-        if version > 0:
-            trial[version - 1] = -1
-        _, chi2, which = fit_labelled(
-            layout, trial, spots.rays, spots.variances, (sigma_px / focal) ** 2, 5,
-            points, seen, information, rotations, ts, h,
-        )  # fmt: skip
+        if without > 0:
+            trial[without - 1] = -1
+        _, chi2, which = fit_labelled(layout, trial, spots.rays, spots.variances, (sigma_px / focal) ** 2, 5, room)
         if which < 0 or chi2 >= NO_SOLUTION:
             continue
-        height = median_of(spots.heights, trial)
-        around, area = surroundings(spots.flat, spots.heights, spots.free, trial, height, extent * focal / ts[which, 2])
+        height, extent_px = median_of(spots.heights, trial), extent * focal / room.ts[which, 2]
+        around, area = surroundings(spots.flat, spots.heights, spots.free, trial, height, extent_px)
         value = score(chi2, variances_px2, spots.heights, spots.radii, trial, around, area, robots)
         if value > best:
             best, best_height = value, height
-            best_labels[:] = trial
-            rotation[:, :] = rotations[which]
-            t[:] = ts[which]
+            version.labels[:] = trial
+            version.rotation[:, :] = room.rotations[which]
+            version.t[:] = room.ts[which]
     return best, best_height

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
 from asterism.server.identity.evidence import AROUND, surroundings
+from asterism.server.identity.hypotheses import ROBOT, Found
+from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan
-from asterism.server.identity.search import ROBOT, Found, Spots, searched
-from asterism.server.pose.fit import CHI2, LEDS, fit_labelled, median_of
+from asterism.server.identity.search import searched
+from asterism.server.pose.fit import CHI2, fit_labelled, fit_room, median_of
 
 LEAST = 11.0  # log odds against chance from which on a robot is claimed
 WORTH = 5.0  # from which on it counts as an explanation at all
@@ -121,15 +123,11 @@ def _of_its_size(plan: Plan, spread: float) -> float:
 
 def _refitted(robot: int, labels: NDArray[np.int64], sigma_px: float, spots: Spots, plan: Plan) -> list[_Four]:
     """The fit with that systematic error; nothing if there is none, or it is bad, or others like them stand around."""
-    points, seen, information = np.empty((LEDS, 3)), np.empty((LEDS, 2)), np.empty((LEDS, 3))
-    rotations, ts, h = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty((3, 3))
-    count, chi2, which = fit_labelled(
-        plan.layouts[robot], labels, spots.rays, spots.variances, (sigma_px / plan.focal) ** 2, 5,
-        points, seen, information, rotations, ts, h,
-    )  # fmt: skip
+    room, systematic2 = fit_room(), (sigma_px / plan.focal) ** 2
+    count, chi2, which = fit_labelled(plan.layouts[robot], labels, spots.rays, spots.variances, systematic2, 5, room)
     if which < 0 or chi2 > CHI2[count]:
         return []
-    rotation, t = rotations[which], ts[which]
+    rotation, t = room.rotations[which], room.ts[which]
     height = median_of(spots.heights, labels)
     around, area = surroundings(
         spots.flat, spots.heights, spots.free, labels, height, plan.extents[robot] * plan.focal / t[2]
@@ -137,12 +135,9 @@ def _refitted(robot: int, labels: NDArray[np.int64], sigma_px: float, spots: Spo
     if around > 4:
         return []
     variance = float(median_of(spots.variances, labels)) * plan.focal**2
-    return [
-        _Four(
-            robot, labels, frozenset(labels[labels >= 0].tolist()), chi2 * (sigma_px**2 + variance), variance,
-            _size(spots, plan, robot, labels, rotation, t), area, rotation, t,
-        )
-    ]  # fmt: skip
+    used, residual_px2 = frozenset(labels[labels >= 0].tolist()), chi2 * (sigma_px**2 + variance)
+    size = _size(spots, plan, robot, labels, rotation, t)
+    return [_Four(robot, labels, used, residual_px2, variance, size, area, rotation, t)]
 
 
 def _size(spots: Spots, plan: Plan, robot: int, labels: NDArray[np.int64], rotation: Floats, t: Floats) -> float:

@@ -1,6 +1,6 @@
 """Who is who: warm where robots were a moment ago, cold for the rest, doubts kept as doubts."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,32 +8,24 @@ from numpy.typing import NDArray
 from asterism.protocol.geometry import Floats
 from asterism.server.centres.blobs import Blobs, Ints
 from asterism.server.identity.cold import find
-from asterism.server.identity.follow import follow, gates_px, gather_missing
+from asterism.server.identity.follow import follow
+from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan
-from asterism.server.identity.search import Spots
-from asterism.server.pose.fit import LEDS
-from asterism.server.pose.planar import NO_SOLUTION
-from asterism.server.pose.track import HEIGHT, Tracks, predict
-
-WIDEST_GATE = 0.25  # of a constellation's image; beyond that a prediction is no help
-GATHER_PX = 1.5  # a found robot's missing LED is looked for this near to its place
+from asterism.server.pose.lens import undistort_kept
+from asterism.server.pose.matched import Matched
+from asterism.server.pose.track import Tracks
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Matches:
-    """Robots with their spots: row i of every array is the same robot.
+    """The robots that were ``found``, their spots rows of the `Rays`, those that were followed first: ``warm`` of them.
 
-    ``robots`` (m,) indices into the rig; ``assignment`` (m, 6) rows of the frame's blobs, -1 for LEDs not seen;
-    ``rotations`` (m, 3, 3), ``ts`` (m, 3) T_camera_plane; ``is_warm`` (m,). ``doubts`` says why a robot that is not
-    among them is ambiguous.
+    ``doubts`` says why a robot that is not among them is ambiguous.
     """
 
-    robots: Ints
-    assignment: Ints
-    rotations: Floats
-    ts: Floats
-    is_warm: NDArray[np.bool_]
-    doubts: dict[int, str] = field(default_factory=dict)
+    found: Matched
+    warm: int
+    doubts: dict[int, str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,58 +41,36 @@ class Rays:
     radii: Floats  # (n,) px
 
 
-def rays_of(blobs: Blobs, rows: Ints, rays: Floats, covariances: Floats, focal: float) -> Rays:
-    """Collect what the matching needs of the kept spots."""
-    flat = rays * np.array([focal, -focal])
+def rays_of(blobs: Blobs, plan: Plan) -> Rays:
+    """The kept spots, undistorted; what no ray of the lens model reaches is left out."""
+    n = len(blobs)
+    rows, rays, covariances = np.empty(n, np.int64), np.empty((n, 2)), np.empty((n, 3))
+    count = undistort_kept(plan.lens, blobs.fates, blobs.centres_px, blobs.covariances_px2, rows, rays, covariances)
+    rows, rays, covariances = rows[:count], rays[:count], covariances[:count]
+    flat = rays * np.array([plan.focal, -plan.focal])
     variances = 0.5 * (covariances[:, 0] + covariances[:, 2])
     return Rays(rows, flat, rays, covariances, variances, blobs.heights[rows], blobs.radii_px[rows])
 
 
 def identify(seen: Rays, plan: Plan, tracks: Tracks, exposed_ns: int) -> Matches:
     """Match spots to robots: those that were there a moment ago first, the rest searched cold."""
-    n_robots = len(plan.layouts)
+    robots = len(plan.layouts)
     free = np.ones(len(seen.rows), np.bool_)
-    robots, assignment, rotations, ts = _follow(seen, free, plan, tracks, exposed_ns)
-    warm = np.ones(len(robots), np.bool_)
-    doubts: dict[int, str] = {}
-    if len(robots) < n_robots and int(free.sum()) >= 4:
-        known = np.zeros(n_robots, np.bool_)
-        known[robots] = True
-        found, doubts = find(Spots(seen.flat, seen.rays, seen.variances, seen.heights, seen.radii, free), plan, known)
-        if found:
-            robots = np.concatenate([robots, [entry[0] for entry in found]])
-            assignment = np.concatenate([assignment, [entry[1] for entry in found]])
-            rotations = np.concatenate([rotations, [entry[2] for entry in found]])
-            ts = np.concatenate([ts, [entry[3] for entry in found]])
-            warm = np.concatenate([warm, np.zeros(len(found), np.bool_)])
-    return Matches(robots, assignment, rotations, ts, warm, doubts)
+    spots = Spots(seen.flat, seen.rays, seen.variances, seen.heights, seen.radii, free)
+    room = Matched.room(robots)
+    warm = follow(spots, plan.constellations, plan.extents, plan.focal, tracks, exposed_ns, room)
+    found, doubts = room.first(warm), dict[int, str]()
+    if warm < robots and np.count_nonzero(free) >= 4:
+        found, doubts = _searched(spots, plan, found)
+    return Matches(found, warm, doubts)
 
 
-def _follow(
-    seen: Rays, free: NDArray[np.bool_], plan: Plan, tracks: Tracks, exposed_ns: int
-) -> tuple[Ints, Ints, Floats, Floats]:
-    """Warm matching of the robots whose prediction is good enough: robots, spots, rotations, translations."""
-    n = len(plan.layouts)
-    index, rotations, ts, sigmas = np.empty(n, np.int64), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 2))
-    count = predict(
-        tracks.seen_ns, tracks.rotations, tracks.ts, tracks.velocities, tracks.turns, tracks.numbers, exposed_ns,
-        index, rotations, ts, sigmas,
-    )  # fmt: skip
-    index, rotations, ts, sigmas = index[:count], rotations[:count], ts[:count], sigmas[:count]
-    depths, extents = np.maximum(ts[:, 2], 1e-6), plan.extents[index]
-    gates = gates_px(sigmas[:, 0], sigmas[:, 1], extents, plan.focal, depths)
-    usable = (ts[:, 2] > 0.0) & (gates <= WIDEST_GATE * extents * plan.focal / depths)
-    if not usable.all():
-        index, rotations, ts, gates = index[usable], rotations[usable], ts[usable], gates[usable]
-    heights = tracks.numbers[index, HEIGHT]
-    assignment, costs = np.full((len(index), LEDS), -1), np.empty(len(index))
-    layouts = plan.layouts[index]
-    follow(
-        seen.flat, seen.rays, seen.variances, seen.heights, free, layouts, plan.optics[index], rotations, ts,
-        gates, heights, plan.focal, assignment, costs,
-    )  # fmt: skip
-    gather_missing(
-        seen.flat, seen.heights, free, layouts, rotations, ts, costs, heights, plan.focal, GATHER_PX, assignment,
-    )  # fmt: skip
-    good = costs < NO_SOLUTION
-    return index[good], assignment[good], rotations[good], ts[good]
+def _searched(spots: Spots, plan: Plan, followed: Matched) -> tuple[Matched, dict[int, str]]:
+    """The robots that were ``followed`` and those that a cold search finds beside them, and the doubts it leaves."""
+    known: NDArray[np.bool_] = np.zeros(len(plan.layouts), np.bool_)
+    known[followed.robots] = True
+    found, doubts = find(spots, plan, known)
+    if not found:
+        return followed, doubts
+    columns = zip(followed, zip(*found, strict=True), strict=True)
+    return Matched(*(np.concatenate([before, np.array(more)]) for before, more in columns)), doubts

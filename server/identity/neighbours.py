@@ -1,21 +1,44 @@
-"""Which spots are near which: lists of nearest neighbours, and the spot at a place."""
+"""The spots that are searched, and which are near which: lists of nearest neighbours, and the spot at a place."""
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
 
 
-@compiled
-def nearest_neighbours(flat, usable, ranks, heights, radii, least_height, least_radius, reaches, lists, counts):
-    """For every usable point its nearest usable ones that rank after it and are like it, in order of distance.
-
-    ``flat`` (n, 2) px; ``ranks`` (n,), different numbers; a neighbour is at most ``reaches`` (n,) px away, its height
-    at least ``least_height`` of the point's, of the two radii the smaller at least ``least_radius`` of the larger.
-    Fills ``lists`` (n, most) and ``counts`` (n,).
+class Spots(NamedTuple):
+    """What is searched. ``flat`` (n, 2) ideal px, y up; ``rays`` (n, 2) the same as x / z, y / z (y down);
+    ``variances`` (n,) of the rays; ``heights`` (n,); ``radii`` (n,) px; ``free`` (n,): not yet a robot's.
     """
-    n, most = lists.shape
+
+    flat: Floats
+    rays: Floats
+    variances: Floats
+    heights: Floats
+    radii: Floats
+    free: Any
+
+
+class Neighbours(NamedTuple):
+    """Of every spot its nearest ones in order of distance: ``lists`` (n, most), of which ``counts`` (n,) are filled."""
+
+    lists: Any
+    counts: Any
+
+
+@compiled
+def nearest_neighbours(spots, ranks, reaches, least_height, least_radius, most):
+    """The `Neighbours` of all free `Spots`: up to ``most`` free ones that rank after the spot and are like it.
+
+    ``ranks`` (n,) are different numbers; a neighbour is at most ``reaches`` (n,) px away, its height at least
+    ``least_height`` of the spot's, of the two radii the smaller at least ``least_radius`` of the larger.
+    """
+    flat, usable, heights, radii = spots.flat, spots.free, spots.heights, spots.radii
+    n = flat.shape[0]
+    lists, counts = np.empty((n, most), np.int32), np.zeros(n, np.int32)
     order = np.argsort(flat[:, 0])
     distances = np.empty(most)
     for place in range(n):
@@ -54,6 +77,7 @@ def nearest_neighbours(flat, usable, ranks, heights, radii, least_height, least_
             lists[i, k] = j
             count = min(count + 1, most)
         counts[i] = count
+    return Neighbours(lists, counts)
 
 
 @compiled

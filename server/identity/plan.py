@@ -7,12 +7,15 @@ from functools import lru_cache
 import numpy as np
 
 from asterism.protocol.constellation import confusions
-from asterism.protocol.geometry import Floats, Pose
+from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import Rig
-from asterism.server.centres.blobs import Ints, Scratch
+from asterism.server.centres.blobs import Ints
 from asterism.server.identity.quads import QuadTable
+from asterism.server.pose.choose import Mounts
 from asterism.server.pose.lens import lens_of
+from asterism.server.pose.matched import Constellations
 from asterism.server.pose.spot_shift import optics_of
+from asterism.server.segmentation.segment import Scratch
 
 MOST_TILT = math.cos(math.radians(75.0))  # beyond that a plate shows no LED worth measuring
 LARGEST_SPOT = 0.02  # of the image's diagonal, where the rig does not say how large the LEDs are
@@ -29,24 +32,14 @@ class Plan:
         self.lens: Floats = lens_of(camera)
         self.focal = math.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1])
         self.layouts: Floats = np.ascontiguousarray([robot.leds_plane for robot in rig.robots])
-        self.optics: Floats = np.array([optics_of(robot) for robot in rig.robots])
-        self.plane_rotations: Floats = np.array([robot.T_robot_plane.rotation for robot in rig.robots])
-        self.plane_origins: Floats = np.array([robot.T_robot_plane.position for robot in rig.robots])
-        self.axes: Floats = np.array([robot.T_robot_plane.rotation.T @ robot.axis for robot in rig.robots])
-        self.normals: Floats = np.array(
-            [robot.normal.world if robot.normal is not None else np.zeros(3) for robot in rig.robots]
-        )
-        self.within: Floats = np.array(
-            [robot.normal.within_rad if robot.normal is not None else -1.0 for robot in rig.robots]
-        )
-        T_parent_camera = rig.T_world_camera or Pose.identity()
-        self.view, self.eye = T_parent_camera.rotation, T_parent_camera.position.copy()
+        self.constellations = Constellations(self.layouts, np.array([optics_of(robot) for robot in rig.robots]))
+        self.mounts = Mounts.of(rig)
         self.extents = np.array([robot.extent for robot in rig.robots])
         self.separations = np.full(len(rig.robots), np.inf)
         for confusion in confusions([robot.leds_plane[:, :2] for robot in rig.robots]):
             for robot in (confusion.seen, confusion.taken):
                 self.separations[robot] = min(self.separations[robot], confusion.separation)
-        self.quads = QuadTable(self.layouts)
+        self.quads = QuadTable.of(self.layouts)
         self.near, self.far = rig.range_m or self._range()
         self.reach_px = 1.2 * float(self.extents.max()) * self.focal / self.near
         self.masks: Ints = np.array(rig.masks, np.int64).reshape(-1, 4)
@@ -76,7 +69,7 @@ class Plan:
         try:
             return self._scratch.pop()
         except IndexError:
-            return Scratch(self.rig.camera.height, self.rig.camera.width)
+            return Scratch.of(self.rig.camera.height, self.rig.camera.width)
 
     def return_scratch(self, scratch: Scratch) -> None:
         """Keep work arrays for the next frame."""

@@ -9,6 +9,7 @@ Points are given in a right-handed plane (x right, y up), and orientation counts
 import itertools
 import math
 from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from asterism.server.compiled import compiled
 CELLS = 40  # along each invariant
 TOLERANCE = 0.05  # how far perspective may move an invariant (extent / distance up to 0.2)
 NEGLECTED, LEAST_SLACK = 0.3, 0.004  # what `look_up` neglects: of the movement, and at all
+MOST_MATCHES = 64  # of four spots
 SMALLEST_QUAD_PX2 = 30.0  # twice the area: smaller ones say nothing
 
 
@@ -86,18 +88,82 @@ def invariants(points, order, values):
 NUMBERS = 16
 
 
-@compiled
-def look_up(
-    flat, i, j, k, m, numbers, starts, held, slack_px, least_scale, most_scale, most_tilt, focal, four, order, values,
-    matches,
-):  # fmt: skip
-    """Which entries of the table the spots ``i``, ``j``, ``k`` and ``m`` of ``flat`` (n, 2; ideal px, y up) may be:
-    seen at a scale from ``least_scale`` to ``most_scale`` px / m, tilted by no more than the angle with cosine
-    ``most_tilt``, not mirrored, and with invariants that differ from the entry's as the tilt demands.
+class QuadTable(NamedTuple):
+    """Entries (robot, four LEDs), first the convex, then the concave, and which of them each cell holds (CSR).
 
-    ``numbers``, ``starts`` and ``held`` are those of `QuadTable`; spots may be ``slack_px`` off; ``focal`` is in px.
-    Fills ``matches`` (m,) with entries and ``order`` (4,) with the order of the spots that belongs to them, and returns
-    how many there are.
+    ``entries`` (n, 5), their ``numbers`` (n, NUMBERS), where the list of every cell ``starts`` (2 CELLS^2 + 1,), and
+    the lists that are ``held``.
+    """
+
+    entries: Any
+    numbers: Floats
+    starts: Any
+    held: Any
+
+    @staticmethod
+    def of(layouts: Floats) -> "QuadTable":
+        """That of ``layouts`` (robots, 6, 2 or 3): the LEDs in their planes."""
+        entries: list[list[int]] = []
+        numbers: list[Floats] = []
+        held: list[list[int]] = [[] for _ in range(2 * CELLS * CELLS)]
+        order, pair = np.empty(4, np.int64), np.empty(2)
+        for robot, layout in enumerate(layouts[:, :, :2]):
+            for leds in itertools.combinations(range(layout.shape[0]), 4):
+                kind, _ = invariants(np.ascontiguousarray(layout[list(leds)]), order, pair)
+                if kind < 0:
+                    continue
+                ring = [leds[k] for k in order]
+                for turned, s, t in _turns(kind, ring, float(pair[0]), float(pair[1])):
+                    for i in range(_cell(s - TOLERANCE), _cell(s + TOLERANCE) + 1):
+                        for j in range(_cell(t - TOLERANCE), _cell(t + TOLERANCE) + 1):
+                            held[(kind * CELLS + i) * CELLS + j].append(len(entries))
+                    entries.append([robot, *turned])
+                    numbers.append(_numbers(kind, layout[turned], s, t))
+        starts = np.zeros(len(held) + 1, np.int32)
+        starts[1:] = np.cumsum([len(cell) for cell in held])
+        return QuadTable(
+            np.array(entries, np.int32).reshape(-1, 5),
+            np.array(numbers).reshape(-1, NUMBERS),
+            starts,
+            np.array([entry for cell in held for entry in cell], np.int32),
+        )
+
+
+class View(NamedTuple):
+    """How a plate may be seen: at a scale from ``least_scale`` to ``most_scale`` px / m, tilted by no more than the
+    angle with cosine ``most_tilt``, by a camera with ``focal`` px; its spots may be ``slack_px`` off.
+    """
+
+    focal: float
+    least_scale: float
+    most_scale: float
+    most_tilt: float
+    slack_px: float
+
+
+class LookedUp(NamedTuple):
+    """Four spots ``four`` (4, 2), ideal px, y up; the entries of the table that they may be, ``matches`` (m,), and the
+    ``order`` (4,) of the spots that belongs to them; ``values`` (2,), their invariants.
+    """
+
+    four: Any
+    order: Any
+    values: Any
+    matches: Any
+
+
+@compiled
+def room_to_look_up():
+    """Empty `LookedUp`."""
+    return LookedUp(np.empty((4, 2)), np.empty(4, np.int64), np.empty(2), np.empty(MOST_MATCHES, np.int64))
+
+
+@compiled
+def look_up(room, table, view):
+    """Which entries of the `QuadTable` the four spots in ``room`` (`LookedUp`) may be in that `View`: not mirrored, and
+    with invariants that differ from the entry's as the tilt demands.
+
+    Fills the rest of ``room``, and returns how many entries there are.
 
     The affine map from plate to spots is their weak perspective: its singular values are focal / depth and that times
     the cosine of the tilt; the gradient g of the relative depth over the plate lies along the second singular
@@ -105,8 +171,7 @@ def look_up(
     crossing fraction s of a diagonal d moves by s (1 - s) g d, and a barycentric coordinate w by w g (corner - inner
     point).
     """
-    four[0, 0], four[0, 1], four[1, 0], four[1, 1] = flat[i, 0], flat[i, 1], flat[j, 0], flat[j, 1]
-    four[2, 0], four[2, 1], four[3, 0], four[3, 1] = flat[k, 0], flat[k, 1], flat[m, 0], flat[m, 1]
+    four, order, values, matches, numbers = room.four, room.order, room.values, room.matches, table.numbers
     kind, area = invariants(four, order, values)
     if kind < 0 or area < SMALLEST_QUAD_PX2:
         return 0
@@ -119,13 +184,18 @@ def look_up(
     # The flatter the quad, the more its invariants suffer from what spots are off.
     slack = (
         LEAST_SLACK
-        + 1.5 * slack_px * math.sqrt(max((bx - ax) ** 2 + (by - ay) ** 2, (cx - ax) ** 2 + (cy - ay) ** 2)) / area
+        + 1.5 * view.slack_px * math.sqrt(max((bx - ax) ** 2 + (by - ay) ** 2, (cx - ax) ** 2 + (cy - ay) ** 2)) / area
     )
-    least2, most2, per_focal2, wide2 = least_scale**2, most_scale**2, 1.0 / focal**2, (1.0 + NEGLECTED) ** 2
+    least2, most2, per_focal2, wide2 = (
+        view.least_scale**2,
+        view.most_scale**2,
+        1.0 / view.focal**2,
+        (1.0 + NEGLECTED) ** 2,
+    )
     cell = (kind * CELLS + row) * CELLS + column
     count = 0
-    for place in range(starts[cell], starts[cell + 1]):
-        entry = held[place]
+    for place in range(table.starts[cell], table.starts[cell + 1]):
+        entry = table.held[place]
         off0, off1 = s - numbers[entry, 0], t - numbers[entry, 1]
         if abs(off0) > TOLERANCE or abs(off1) > TOLERANCE:
             continue
@@ -139,7 +209,7 @@ def look_up(
         if size <= 0.0 or both < least2 or both > 2.0 * most2:
             continue
         large2 = 0.5 * (both + math.sqrt(max(both * both - 4.0 * size * size, 0.0)))
-        if large2 < least2 or large2 > most2 or size < 0.8 * most_tilt * large2:
+        if large2 < least2 or large2 > most2 or size < 0.8 * view.most_tilt * large2:
             continue
         # n = focal^2 g g^T: what the image of an untilted plate has more.
         n00, n01, n11 = large2 - m00, -m01, large2 - m11
@@ -161,39 +231,6 @@ def look_up(
             matches[count] = entry
             count += 1
     return count
-
-
-class QuadTable:
-    """Entries (robot, four LEDs), first the convex, then the concave, and which of them each cell holds (CSR).
-
-    ``entries`` (n, 5), their ``numbers`` (n, 12), where the list of every cell ``starts`` (2 CELLS^2 + 1,), and the
-    lists that are ``held``.
-    """
-
-    def __init__(self, layouts: Floats) -> None:
-        """``layouts`` (robots, 6, 2 or 3): the LEDs in their planes."""
-        entries: list[list[int]] = []
-        numbers: list[Floats] = []
-        held: list[list[int]] = [[] for _ in range(2 * CELLS * CELLS)]
-        order, pair = np.empty(4, np.int64), np.empty(2)
-        for robot, layout in enumerate(layouts[:, :, :2]):
-            for leds in itertools.combinations(range(layout.shape[0]), 4):
-                kind, _ = invariants(np.ascontiguousarray(layout[list(leds)]), order, pair)
-                if kind < 0:
-                    continue
-                ring = [leds[k] for k in order]
-                for turned, s, t in _turns(kind, ring, float(pair[0]), float(pair[1])):
-                    for i in range(_cell(s - TOLERANCE), _cell(s + TOLERANCE) + 1):
-                        for j in range(_cell(t - TOLERANCE), _cell(t + TOLERANCE) + 1):
-                            held[(kind * CELLS + i) * CELLS + j].append(len(entries))
-                    entries.append([robot, *turned])
-                    numbers.append(_numbers(kind, layout[turned], s, t))
-        starts = np.zeros(len(held) + 1, np.int32)
-        starts[1:] = np.cumsum([len(cell) for cell in held])
-        self.entries = np.array(entries, np.int32).reshape(-1, 5)
-        self.numbers = np.array(numbers).reshape(-1, NUMBERS)
-        self.starts = starts
-        self.held = np.array([entry for cell in held for entry in cell], np.int32)
 
 
 def _turns(kind: int, ring: list[int], s: float, t: float) -> Iterator[tuple[list[int], float, float]]:

@@ -5,18 +5,86 @@ their odds; poses that face away are out already. The chosen one is expressed in
 """
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from asterism.protocol.geometry import Floats, Pose
+from asterism.protocol.rig import Rig
 from asterism.server.compiled import compiled
+from asterism.server.pose.covariance import move_origin, turn_axes
 from asterism.server.pose.fit import median_of
 from asterism.server.pose.planar import NO_SOLUTION
 from asterism.server.pose.rotations import product_into, quat_into
-from asterism.server.pose.solve import move_origin, turn_axes
-from asterism.server.pose.track import EVIDENCE, HAS_OTHER, TURN_SIGMA, follow_track, is_fresh, tilt_cost
+from asterism.server.pose.track import LastSeen, follow_track, is_fresh, tilt_cost
 
 MOST_ODDS = 1e12
 NORMAL_SIGMA = math.radians(2.0)  # how soft the edge of a robot's cone of normals is
+
+
+class Mounts(NamedTuple):
+    """How the camera is mounted in the parent frame, and the LEDs on every robot of the rig.
+
+    ``camera_rotation`` (3, 3) and ``camera_origin`` (3,) m are T_parent_camera; ``plane_rotations`` (robots, 3, 3) and
+    ``plane_origins`` (robots, 3) m are T_robot_plane; ``axes`` (robots, 3) of the LEDs in the plane's frame; where
+    these point in the parent frame by the rig, ``normals`` (robots, 3), give or take ``within`` (robots,) rad, which is
+    negative where the rig does not say.
+    """
+
+    camera_rotation: Floats
+    camera_origin: Floats
+    plane_rotations: Floats
+    plane_origins: Floats
+    axes: Floats
+    normals: Floats
+    within: Floats
+
+    @staticmethod
+    def of(rig: Rig) -> "Mounts":
+        """Those of a rig; the parent frame is the camera's own where the rig places no camera."""
+        T_parent_camera = rig.T_world_camera or Pose.identity()
+        robots, normals = rig.robots, [robot.normal for robot in rig.robots]
+        return Mounts(
+            T_parent_camera.rotation,
+            T_parent_camera.position.copy(),
+            np.array([robot.T_robot_plane.rotation for robot in robots]),
+            np.array([robot.T_robot_plane.position for robot in robots]),
+            np.array([robot.T_robot_plane.rotation.T @ robot.axis for robot in robots]),
+            np.array([normal.world if normal is not None else np.zeros(3) for normal in normals]),
+            np.array([normal.within_rad if normal is not None else -1.0 for normal in normals]),
+        )
+
+
+class Choices(NamedTuple):
+    """What is chosen for m robots: ``best`` (m,) of the two minima, -1 for no pose at all, and its ``odds`` (m,) over
+    the other (MOST_ODDS if there is none); the chosen one first, ``positions`` (m, 2, 3) m and ``quaternions``
+    (m, 2, 4) x y z w of T_parent_robot; ``covariances`` (m, 6, 6) of the chosen one.
+    """
+
+    best: NDArray[np.int64]
+    odds: Floats
+    positions: Floats
+    quaternions: Floats
+    covariances: Floats
+
+    @staticmethod
+    def room(robots: int) -> "Choices":
+        """Room for so many robots."""
+        m = robots
+        return Choices(
+            np.empty(m, np.int64), np.empty(m), np.empty((m, 2, 3)), np.empty((m, 2, 4)), np.empty((m, 6, 6))
+        )
+
+
+class _Work(NamedTuple):
+    """Scratch of a choice: rotations (3, 3) and vectors (3,)."""
+
+    turn: Any
+    parent: Any
+    inverse: Any
+    axis: Any
+    arm: Any
 
 
 @compiled
@@ -28,87 +96,84 @@ def axis_cost(axis, wanted, within):
 
 
 @compiled
-def choose(
-    robots, exposed_ns, rotations, ts, costs, covariances, assignment, heights,
-    view, eye, plane_rotations, plane_origins, axes, normals, within,
-    seen_ns, track_rotations, track_ts, velocities, turns, other_rotations, numbers,
-    best, odds, positions, quaternions, parent_covariances,
-):  # fmt: skip
-    """Choose for every solved robot, and write its track.
+def _whole_cost(cost, rotation, robot, exposed_ns, mounts, tracks, work):
+    """The cost of a robot's rotation, T_camera_plane, with what is known beforehand against it, in squared sigmas."""
+    if is_fresh(tracks.seen_ns[robot], exposed_ns):
+        cost += tilt_cost(tracks, robot, exposed_ns, rotation)
+    if mounts.within[robot] >= 0.0:
+        product_into(mounts.camera_rotation, rotation, work.turn)
+        for i in range(3):
+            work.axis[i] = 0.0
+            for j in range(3):
+                work.axis[i] += work.turn[i, j] * mounts.axes[robot, j]
+        cost += axis_cost(work.axis, mounts.normals[robot], mounts.within[robot])
+    return cost
 
-    ``robots`` (m,) indices into the rig; ``rotations`` (m, 2, 3, 3), ``ts`` (m, 2, 3), ``costs`` (m, 2) and
-    ``covariances`` (m, 2, 6, 6) as `solve.solve_robots` fills them; ``assignment`` (m, 6) and
-    ``heights`` (n,) of the spots. ``view`` (3, 3)
-    and ``eye`` (3,) are T_parent_camera. Per robot of the rig: ``plane_rotations`` (k, 3, 3) and ``plane_origins``
-    (k, 3) = T_robot_plane, ``axes`` (k, 3) of the LEDs in the plane's frame, ``normals`` (k, 3) in the parent frame
-    with ``within`` (k,) rad, negative where there is no prior. Then the tracks, which are changed.
 
-    Fills ``best`` (m,) (-1: no pose at all), ``odds`` (m,) over the other candidate (MOST_ODDS if there is none),
-    ``positions`` (m, 2, 3), ``quaternions`` (m, 2, 4) x y z w of T_parent_robot, the chosen one first, and
-    ``parent_covariances`` (m, 6, 6) of the chosen one.
+@compiled
+def _to_parent(rotation, t, robot, mounts, work, position, quaternion):
+    """Fill a robot's ``position`` (3,) and ``quaternion`` (4,), T_parent_robot, from its T_camera_plane.
+
+    Leaves in ``work.arm`` the robot's origin as seen from the plane's, in the camera's axes.
+    """
+    arm = work.arm
+    for i in range(3):
+        for j in range(3):
+            work.inverse[i, j] = mounts.plane_rotations[robot, j, i]
+    product_into(rotation, work.inverse, work.turn)  # R_camera_robot
+    for i in range(3):
+        arm[i] = 0.0
+        for j in range(3):
+            arm[i] -= work.turn[i, j] * mounts.plane_origins[robot, j]
+    for i in range(3):
+        position[i] = mounts.camera_origin[i]
+        for j in range(3):
+            position[i] += mounts.camera_rotation[i, j] * (t[j] + arm[j])
+    product_into(mounts.camera_rotation, work.turn, work.parent)
+    quat_into(work.parent, quaternion)
+
+
+@compiled
+def _carry(covariance, view, arm, out):
+    """Fill ``out`` (6, 6) with a pose's covariance moved by ``arm`` and about the parent's axes."""
+    out[:, :] = covariance
+    move_origin(out, arm)
+    turn_axes(view, out)
+    for i in range(6):
+        for j in range(i):
+            out[i, j] = out[j, i] = 0.5 * (out[i, j] + out[j, i])
+
+
+@compiled
+def choose(matched, exposed_ns, solutions, heights, mounts, tracks, choices):
+    """Choose for every solved robot: fill the `Choices` from `Matched`, `Solutions` and `Mounts`, and write its track.
+
+    ``heights`` (n,) are those of the spots.
     """
     totals = np.empty(2)
-    turn, parent, axis, arm = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
-    inverse = np.empty((3, 3))
-    for k in range(robots.shape[0]):
-        robot = robots[k]
-        known = numbers[robot]
-        fresh = is_fresh(seen_ns[robot], exposed_ns)
+    work = _Work(np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3))
+    for k in range(matched.robots.shape[0]):
+        robot, costs = matched.robots[k], solutions.costs[k]
+        rotations, ts, covariances = solutions.rotations[k], solutions.ts[k], solutions.covariances[k]
         for which in range(2):
-            totals[which] = costs[k, which]
-            if costs[k, which] >= NO_SOLUTION:
-                continue
-            rotation = rotations[k, which]
-            if fresh:
-                totals[which] += tilt_cost(
-                    rotation, track_rotations[robot], turns[robot], known[TURN_SIGMA], other_rotations[robot],
-                    known[HAS_OTHER], known[EVIDENCE], (exposed_ns - seen_ns[robot]) * 1e-9,
-                )  # fmt: skip
-            if within[robot] >= 0.0:
-                product_into(view, rotation, turn)
-                for i in range(3):
-                    axis[i] = 0.0
-                    for j in range(3):
-                        axis[i] += turn[i, j] * axes[robot, j]
-                totals[which] += axis_cost(axis, normals[robot], within[robot])
+            cost = totals[which] = costs[which]
+            if cost < NO_SOLUTION:
+                totals[which] = _whole_cost(cost, rotations[which], robot, exposed_ns, mounts, tracks, work)
         chosen = 0 if totals[0] <= totals[1] else 1
-        if totals[chosen] >= NO_SOLUTION:
-            best[k] = -1
-            continue
         other = 1 - chosen
-        has_other = costs[k, other] < NO_SOLUTION
-        best[k] = chosen
+        if totals[chosen] >= NO_SOLUTION:
+            choices.best[k] = -1
+            continue
         evidence = 0.5 * (min(totals[other], NO_SOLUTION) - totals[chosen])
-        odds[k] = math.exp(min(evidence, math.log(MOST_ODDS)))
-        for i in range(3):
-            for j in range(3):
-                inverse[i, j] = plane_rotations[robot, j, i]
-        for place in range(2):
-            which = chosen if place == 0 else other
-            if costs[k, which] >= NO_SOLUTION:
-                continue
-            product_into(rotations[k, which], inverse, turn)  # R_camera_robot
-            for i in range(3):
-                arm[i] = 0.0
-                for j in range(3):
-                    arm[i] -= turn[i, j] * plane_origins[robot, j]
-            for i in range(3):
-                positions[k, place, i] = eye[i]
-                for j in range(3):
-                    positions[k, place, i] += view[i, j] * (ts[k, which, j] + arm[j])
-            product_into(view, turn, parent)
-            quat_into(parent, quaternions[k, place])
-            if place == 0:
-                out = parent_covariances[k]
-                out[:, :] = covariances[k, which]
-                move_origin(out, arm)
-                turn_axes(view, out)
-                for i in range(6):
-                    for j in range(i):
-                        out[i, j] = out[j, i] = 0.5 * (out[i, j] + out[j, i])
-        follow_track(
-            seen_ns, track_rotations, track_ts, velocities, turns, other_rotations, numbers,
-            robot, exposed_ns, rotations[k, chosen], ts[k, chosen], covariances[k, chosen],
-            median_of(heights, assignment[k]),
-            rotations[k, other], has_other, evidence,
-        )  # fmt: skip
+        choices.best[k], choices.odds[k] = chosen, math.exp(min(evidence, math.log(MOST_ODDS)))
+        positions, quaternions = choices.positions[k], choices.quaternions[k]
+        _to_parent(rotations[chosen], ts[chosen], robot, mounts, work, positions[0], quaternions[0])
+        _carry(covariances[chosen], mounts.camera_rotation, work.arm, choices.covariances[k])
+        has_other = costs[other] < NO_SOLUTION
+        if has_other:
+            _to_parent(rotations[other], ts[other], robot, mounts, work, positions[1], quaternions[1])
+        height = median_of(heights, matched.assignment[k])
+        seen = LastSeen(
+            rotations[chosen], ts[chosen], covariances[chosen], height, rotations[other], has_other, evidence
+        )
+        follow_track(tracks, robot, exposed_ns, seen)

@@ -1,5 +1,7 @@
 """Poses of labelled spots: how well six spots, or fewer, are the LEDs of a robot."""
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from asterism.server.compiled import compiled
@@ -10,17 +12,39 @@ SYSTEMATIC_PX = 0.25  # what calibration and LED positions may be off, one sigma
 CHI2 = np.array([0.0, 0.0, 0.0, 0.0, 13.8, 18.5, 22.5])  # 99.9 % for two, four and six degrees of freedom
 
 
-@compiled
-def fit_labelled(layout, spots, rays, variances, systematic2, iterations, points, seen, information, rotations, ts, h):
-    """Pose of a robot whose LEDs are the given spots (-1: not visible), turned towards the camera.
-
-    Returns how many LEDs it rests on, the cost (squared sigmas) and which of ``rotations``, ``ts`` holds the pose;
-    a negative index if there is none. ``points``, ``seen``, ``information``, ``h`` are scratch of six rows.
+class FitRoom(NamedTuple):
+    """Room for fits of one robot: ``points`` (6, 3), ``seen`` (6, 2) and ``information`` (6, 3) of its visible LEDs;
+    ``rotations`` (2, 3, 3) and ``ts`` (2, 3) of the poses that are found, T_camera_plane, m; ``h`` (3, 3).
     """
+
+    points: Any
+    seen: Any
+    information: Any
+    rotations: Any
+    ts: Any
+    h: Any
+
+
+@compiled
+def fit_room():
+    """Empty `FitRoom`."""
+    points, seen, information = np.empty((LEDS, 3)), np.empty((LEDS, 2)), np.empty((LEDS, 3))
+    return FitRoom(points, seen, information, np.empty((2, 3, 3)), np.empty((2, 3)), np.empty((3, 3)))
+
+
+@compiled
+def fit_labelled(layout, labels, rays, variances, systematic2, iterations, room):
+    """Pose of a robot whose LEDs are the spots ``labels`` (6,; -1: not visible), turned towards the camera.
+
+    ``layout`` (6, 3) m; ``rays`` (n, 2) of all spots with ``variances`` (n,), to which ``systematic2`` is added.
+    Returns how many LEDs the pose rests on, the cost (squared sigmas) and which of the `FitRoom`'s poses it is; a
+    negative index if there is none.
+    """
+    points, seen, information, rotations, ts = room.points, room.seen, room.information, room.rotations, room.ts
     count = 0
     cx = cy = cz = 0.0
     for led in range(LEDS):
-        spot = spots[led]
+        spot = labels[led]
         if spot < 0:
             continue
         points[count, 0], points[count, 1], points[count, 2] = layout[led, 0], layout[led, 1], layout[led, 2]
@@ -39,7 +63,7 @@ def fit_labelled(layout, spots, rays, variances, systematic2, iterations, points
         points[k, 1] -= cy
         points[k, 2] -= cz
     p, s, w = points[:count], seen[:count], information[:count]
-    if not homography_ls(p, s, h) or not two_rotations(h, rotations[0], rotations[1]):
+    if not homography_ls(p, s, room.h) or not two_rotations(room.h, rotations[0], rotations[1]):
         return count, NO_SOLUTION, -1
     best, best_cost = -1, NO_SOLUTION
     for which in range(2):

@@ -77,3 +77,14 @@ def angle_between(a, b):
     trace = turn[0, 0] + turn[1, 1] + turn[2, 2]
     skew2 = (turn[2, 1] - turn[1, 2]) ** 2 + (turn[0, 2] - turn[2, 0]) ** 2 + (turn[1, 0] - turn[0, 1]) ** 2
     return math.atan2(math.sqrt(skew2), trace - 1.0)
+
+
+@compiled
+def mapped(rotation, t, point):
+    """x, y, z of rotation @ point + t."""
+    x, y, z = t[0], t[1], t[2]
+    for j in range(3):
+        x += rotation[0, j] * point[j]
+        y += rotation[1, j] * point[j]
+        z += rotation[2, j] * point[j]
+    return x, y, z

@@ -101,17 +101,18 @@ def spot_shifts(rotation, t, points, optics, shifts):
 
 
 @compiled
-def correct_rays(rotation, t, points, optics, seen, applied):
-    """Correct ``seen`` (n, 2) for the shifts at a pose, in place of those ``applied`` (n, 2) before.
+def correct_rays(rotation, t, lit, optics):
+    """Correct the rays of the visible LEDs (`matched.Lit`) for the shifts at a pose, in place of those applied before.
 
     Returns the largest change, ray units.
     """
     if not has_shift(optics):
         return 0.0
-    shifts = np.empty((points.shape[0], 2))
-    spot_shifts(rotation, t, points, optics, shifts)
+    seen, applied = lit.seen, lit.applied
+    shifts = np.empty((lit.points.shape[0], 2))
+    spot_shifts(rotation, t, lit.points, optics, shifts)
     change = 0.0
-    for k in range(points.shape[0]):
+    for k in range(shifts.shape[0]):
         for axis in range(2):
             change = max(change, abs(shifts[k, axis] - applied[k, axis]))
             seen[k, axis] -= shifts[k, axis] - applied[k, axis]
@@ -120,19 +121,19 @@ def correct_rays(rotation, t, points, optics, seen, applied):
 
 
 @compiled
-def refine_shifted(rotation, t, points, seen, applied, information, optics, focal, iterations):
+def refine_shifted(rotation, t, lit, optics, focal, iterations):
     """`planar.refine_pose` with the spots' shifts at the pose that results; returns the robust cost.
 
-    ``seen`` and ``applied`` as in `correct_rays` are left as the last correction made them.
+    The rays of ``lit`` are left as the last correction made them.
     """
-    correct_rays(rotation, t, points, optics, seen, applied)
-    cost = refine_pose(rotation, t, points, seen, information, iterations)
+    correct_rays(rotation, t, lit, optics)
+    cost = refine_pose(rotation, t, lit.points, lit.seen, lit.information, iterations)
     if not has_shift(optics):
         return cost
     for _ in range(CORRECTIONS):
-        if cost >= NO_SOLUTION or correct_rays(rotation, t, points, optics, seen, applied) * focal < STANDS_STILL_PX:
+        if cost >= NO_SOLUTION or correct_rays(rotation, t, lit, optics) * focal < STANDS_STILL_PX:
             break
-        cost = refine_pose(rotation, t, points, seen, information, iterations)
+        cost = refine_pose(rotation, t, lit.points, lit.seen, lit.information, iterations)
     return cost
 
 

@@ -6,7 +6,7 @@ plane's two tilts was the right one a moment ago.
 """
 
 import math
-from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,7 @@ MOST_EVIDENCE = math.log(1e4)
 POSITION_SIGMA, ROTATION_SIGMA, VELOCITY_SIGMA, TURN_SIGMA, HEIGHT, EVIDENCE, HAS_OTHER = range(7)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Tracks:
+class Tracks(NamedTuple):
     """Every robot of a rig as last seen; row i of every array is robot i. Robots never seen have seen_ns 0.
 
     Poses are T_camera_plane; motion is about the camera's axes.
@@ -79,85 +78,113 @@ def is_fresh(seen_ns, exposed_ns):
     return seen_ns > 0 and 0 < exposed_ns - seen_ns <= FORGET_NS
 
 
-@compiled
-def predict(seen_ns, rotations, ts, velocities, turns, numbers, exposed_ns, index, out_rotations, out_ts, out_sigmas):
-    """Constant-velocity prediction of every fresh track.
-
-    Fills ``index`` (robots,), ``out_rotations`` (robots, 3, 3), ``out_ts`` (robots, 3) and ``out_sigmas`` (robots,
-    2) = position m, rotation rad; returns how many there are.
+class Predicted(NamedTuple):
+    """Where robots should be: ``robots`` (m,) of the rig; ``rotations`` (m, 3, 3) and ``ts`` (m, 3) m of
+    T_camera_plane; ``sigmas`` (m, 2), one sigma of the position, m, and of the rotation, rad.
     """
+
+    robots: NDArray[np.int64]
+    rotations: Floats
+    ts: Floats
+    sigmas: Floats
+
+
+@compiled
+def predict_room(robots):
+    """Room for the predictions of so many robots."""
+    return Predicted(np.empty(robots, np.int64), np.empty((robots, 3, 3)), np.empty((robots, 3)), np.empty((robots, 2)))
+
+
+@compiled
+def predict(tracks, exposed_ns, predicted):
+    """Fill ``predicted`` with every fresh track, moved on with constant velocity; returns how many there are."""
     count = 0
     step = np.empty((3, 3))
-    for robot in range(seen_ns.shape[0]):
-        if not is_fresh(seen_ns[robot], exposed_ns):
+    for robot in range(tracks.seen_ns.shape[0]):
+        if not is_fresh(tracks.seen_ns[robot], exposed_ns):
             continue
-        dt = (exposed_ns - seen_ns[robot]) * 1e-9
-        exp_into(turns[robot, 0] * dt, turns[robot, 1] * dt, turns[robot, 2] * dt, step)
-        product_into(step, rotations[robot], out_rotations[count])
+        dt = (exposed_ns - tracks.seen_ns[robot]) * 1e-9
+        turn, known, sigmas = tracks.turns[robot], tracks.numbers[robot], predicted.sigmas[count]
+        exp_into(turn[0] * dt, turn[1] * dt, turn[2] * dt, step)
+        product_into(step, tracks.rotations[robot], predicted.rotations[count])
         for i in range(3):
-            out_ts[count, i] = ts[robot, i] + velocities[robot, i] * dt
-        known = numbers[robot]
-        out_sigmas[count, 0] = math.sqrt(
+            predicted.ts[count, i] = tracks.ts[robot, i] + tracks.velocities[robot, i] * dt
+        sigmas[0] = math.sqrt(
             known[POSITION_SIGMA] ** 2 + (known[VELOCITY_SIGMA] * dt) ** 2 + (0.5 * ACCELERATION * dt * dt) ** 2
         )
-        out_sigmas[count, 1] = math.sqrt(
+        sigmas[1] = math.sqrt(
             known[ROTATION_SIGMA] ** 2 + (known[TURN_SIGMA] * dt) ** 2 + (0.5 * TURN_ACCELERATION * dt * dt) ** 2
         )
-        index[count] = robot
+        predicted.robots[count] = robot
         count += 1
     return count
 
 
 @compiled
-def tilt_cost(rotation, before_rotation, turn, turn_sigma, other_rotation, has_other, evidence, dt):
-    """What the memory says against a tilt, in units of chi squared: its distance from either remembered tilt.
+def tilt_cost(tracks, robot, exposed_ns, rotation):
+    """What a robot's track says against a tilt, in units of chi squared: its distance from either remembered tilt.
 
     The remembered tilt costs nothing where it was, the other one what the evidence so far says against it.
     """
-    sigma2 = TILT_SIGMA**2 + (turn_sigma * dt) ** 2
+    known, turn = tracks.numbers[robot], tracks.turns[robot]
+    dt = (exposed_ns - tracks.seen_ns[robot]) * 1e-9
+    sigma2 = TILT_SIGMA**2 + (known[TURN_SIGMA] * dt) ** 2
     step, there = np.empty((3, 3)), np.empty((3, 3))
     exp_into(turn[0] * dt, turn[1] * dt, turn[2] * dt, step)
-    product_into(step, before_rotation, there)
+    product_into(step, tracks.rotations[robot], there)
     cost = angle_between(there, rotation) ** 2 / sigma2
-    if has_other > 0.0:
-        product_into(step, other_rotation, there)
-        other = angle_between(there, rotation) ** 2 / sigma2 + 2.0 * TILT_MEMORY * evidence
+    if known[HAS_OTHER] > 0.0:
+        product_into(step, tracks.other_rotations[robot], there)
+        other = angle_between(there, rotation) ** 2 / sigma2 + 2.0 * TILT_MEMORY * known[EVIDENCE]
         cost = min(cost, other)
     return min(cost, 2.0 * MOST_EVIDENCE)
 
 
+class LastSeen(NamedTuple):
+    """A robot's pose in a frame: ``rotation`` (3, 3) and ``t`` (3,) m of T_camera_plane, with ``covariance`` (6, 6);
+    ``height`` of its spots, grey levels; ``other_rotation`` (3, 3), its other tilt if it ``has_other``; ``evidence``,
+    the log odds of its tilt, memory included.
+    """
+
+    rotation: Any
+    t: Any
+    covariance: Any
+    height: float
+    other_rotation: Any
+    has_other: bool
+    evidence: float
+
+
 @compiled
-def follow_track(
-    seen_ns, rotations, ts, velocities, turns, other_rotations, numbers,
-    robot, exposed_ns, rotation, t, covariance, height, other_rotation, has_other, evidence,
-):  # fmt: skip
-    """Write into the tracks that a robot was seen; ``evidence`` are the log odds of its tilt, memory included."""
+def follow_track(tracks, robot, exposed_ns, seen):
+    """Write into the tracks that a robot was seen."""
+    covariance, t = seen.covariance, seen.t
     position_variance = max(covariance[0, 0], covariance[1, 1], covariance[2, 2])
     rotation_variance = max(covariance[3, 3], covariance[4, 4], covariance[5, 5])
-    known = numbers[robot]
+    known, velocity, turn = tracks.numbers[robot], tracks.velocities[robot], tracks.turns[robot]
     velocity_sigma, turn_sigma = UNKNOWN_SPEED, UNKNOWN_TURN
-    if is_fresh(seen_ns[robot], exposed_ns):
-        dt = (exposed_ns - seen_ns[robot]) * 1e-9
+    if is_fresh(tracks.seen_ns[robot], exposed_ns):
+        dt = (exposed_ns - tracks.seen_ns[robot]) * 1e-9
         turned = np.empty(3)
-        log_between(rotations[robot], rotation, turned)
+        log_between(tracks.rotations[robot], seen.rotation, turned)
         gain = 1.0 if known[VELOCITY_SIGMA] >= UNKNOWN_SPEED else VELOCITY_GAIN
         for i in range(3):
-            velocities[robot, i] += gain * ((t[i] - ts[robot, i]) / dt - velocities[robot, i])
-            turns[robot, i] += gain * (turned[i] / dt - turns[robot, i])
+            velocity[i] += gain * ((t[i] - tracks.ts[robot, i]) / dt - velocity[i])
+            turn[i] += gain * (turned[i] / dt - turn[i])
         moved = math.sqrt(position_variance + known[POSITION_SIGMA] ** 2) / dt
         swung = math.sqrt(rotation_variance + known[ROTATION_SIGMA] ** 2) / dt
         velocity_sigma = min(moved + ACCELERATION * dt, UNKNOWN_SPEED)
         turn_sigma = min(swung + TURN_ACCELERATION * dt, UNKNOWN_TURN)
     else:
-        velocities[robot] = 0.0
-        turns[robot] = 0.0
-    seen_ns[robot] = exposed_ns
-    rotations[robot] = rotation
-    ts[robot] = t
-    other_rotations[robot] = other_rotation
+        velocity[:] = 0.0
+        turn[:] = 0.0
+    tracks.seen_ns[robot] = exposed_ns
+    tracks.rotations[robot] = seen.rotation
+    tracks.ts[robot] = t
+    tracks.other_rotations[robot] = seen.other_rotation
     known[POSITION_SIGMA] = math.sqrt(position_variance)
     known[ROTATION_SIGMA] = math.sqrt(rotation_variance)
     known[VELOCITY_SIGMA], known[TURN_SIGMA] = velocity_sigma, turn_sigma
-    known[HEIGHT] = height
-    known[EVIDENCE] = min(evidence, MOST_EVIDENCE)
-    known[HAS_OTHER] = 1.0 if has_other else 0.0
+    known[HEIGHT] = seen.height
+    known[EVIDENCE] = min(seen.evidence, MOST_EVIDENCE)
+    known[HAS_OTHER] = 1.0 if seen.has_other else 0.0

@@ -4,6 +4,8 @@ The compiler turns a loop over such arrays into SIMD code; with the padding noth
 rest, which for spots of a hundred pixels would take as long. Pixels that do not count have weight zero.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from asterism.server.compiled import compiled, compiled_sums
@@ -20,6 +22,33 @@ index = np.uint64  # of an array: one that might be negative keeps the compiler 
 ZERO, HALF, ONE, TWO = f32(0.0), f32(0.5), f32(1.0), f32(2.0)
 
 
+class Box(NamedTuple):
+    """A window in the image, px: columns from ``x0`` to ``x1``, rows from ``y0`` to ``y1``, the ends not in it."""
+
+    x0: int
+    x1: int
+    y0: int
+    y1: int
+
+
+@compiled
+def whole_of(image):
+    """The whole image."""
+    return Box(np.int64(0), image.shape[1], np.int64(0), image.shape[0])
+
+
+@compiled
+def cells_of(box):
+    """How many pixels a box has."""
+    return (box.x1 - box.x0) * (box.y1 - box.y0)
+
+
+@compiled
+def reaches_edge(box, image):
+    """Whether a box reaches the edge of the image, so that light may be cut off."""
+    return box.x0 < 2 or box.y0 < 2 or box.x1 > image.shape[1] - 2 or box.y1 > image.shape[0] - 2
+
+
 @compiled
 def room_for(cells):
     """Empty (PIXEL_ROWS, capacity) float32 for the pixels of a window of so many cells."""
@@ -27,19 +56,20 @@ def room_for(cells):
 
 
 @compiled_sums
-def gather_box(image, x0, x1, y0, y1, middle_x, middle_y, pixels, n):
-    """Put the pixels of a box (exclusive ends) behind the first ``n`` of ``pixels``; return how many there are now.
+def gather_box(image, box, middle_x, middle_y, pixels, n):
+    """Put the pixels of a box behind the first ``n`` of ``pixels``; return how many there are now.
 
     Their places are told from (``middle_x``, ``middle_y``) px.
     """
     xs, ys, values = pixels[PX], pixels[PY], pixels[GREY]
-    width = x1 - x0
+    x0 = box.x0
+    width = box.x1 - x0
     # Whole registers, where the image is wide enough: the next row overwrites what is too much.
     padded = (width + LANES - 1) & -LANES
     if x0 + padded > image.shape[1]:
         padded = width
     left = f32(x0 - middle_x)
-    for y in range(y0, y1):
+    for y in range(box.y0, box.y1):
         row, v = image[y], f32(y - middle_y)
         for k in range(padded):
             place = index(n + k)

@@ -21,19 +21,20 @@ def _top(regions, region):
 
 
 @compiled
-def watershed(image, thresholds_row, x0, x1, y0, y1, base, noise, labels, regions):
-    """Split the pixels above the seed threshold in a window into regions, one for every prominent peak.
+def watershed(image, thresholds, box, base, noise, labels, regions):
+    """Split the pixels of a box above the seed ``thresholds`` (blocks, w) into regions, one for every prominent peak.
 
     ``labels`` (cells,) int32 is filled with region numbers (-1 outside); ``regions`` (capacity, 4) float64 with
     peak, the level at which it meets a higher one (its saddle; -1 if it never does), the region it was joined to
     (itself if it stands alone), and a higher region of the connected group it belongs to (itself if it is the
     highest; see `_top`). Returns the number of regions, joined ones included.
     """
-    width, height = x1 - x0, y1 - y0
+    x0, y0 = box.x0, box.y0
+    width, height = box.x1 - x0, box.y1 - y0
     cells = width * height
     counts = np.zeros(257, np.int32)
     for y in range(height):
-        limit = thresholds_row[(y + y0) // 8]
+        limit = thresholds[(y + y0) // 8]
         for x in range(width):
             labels[y * width + x] = -1
             value = image[y + y0, x + x0]
@@ -44,7 +45,7 @@ def watershed(image, thresholds_row, x0, x1, y0, y1, base, noise, labels, region
     order = np.empty(max(counts[256], 1), np.int32)
     total = counts[256]
     for y in range(height):
-        limit = thresholds_row[(y + y0) // 8]
+        limit = thresholds[(y + y0) // 8]
         for x in range(width):
             value = image[y + y0, x + x0]
             if value > limit[x + x0]:
@@ -106,8 +107,9 @@ def watershed(image, thresholds_row, x0, x1, y0, y1, base, noise, labels, region
 
 
 @compiled
-def keep_group(labels, regions, n_regions, component):
+def keep_group(labels, regions, component):
     """Mark (-2) the pixels of other components that reach into the window; they are measured on their own."""
+    n_regions = regions.shape[0]
     sizes = np.zeros(n_regions, np.int64)
     for label in labels:
         if label >= 0:

@@ -2,6 +2,7 @@
 
 import threading
 from collections import Counter, deque
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -9,28 +10,31 @@ from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
 from asterism.protocol.codec import to_bytes
 from asterism.protocol.messages import STATUS, Fate, Message
-from asterism.server.chain.frame import FrameResult
+from asterism.server.chain.frame import Frame, FrameResult
+from asterism.server.service.tally import Tally
 
 WINDOW_NS = 1_000_000_000
 
 
 class Health:
-    """Counts and times of the frames, written by the chain and read by the status thread; the lock keeps them whole."""
+    """Counts and times of the frames, written by the chain and read by the status thread; the lock keeps them whole.
 
-    def __init__(self, camera: str, source: str) -> None:
+    ``robots`` are the ids of the rig's.
+    """
+
+    def __init__(self, camera: str, source: str, robots: Iterable[str]) -> None:
         self._camera = camera
         self._source = source
         self._lock = threading.Lock()
         self._recent: deque[tuple[int, float, float, Counter[str]]] = deque()
-        self._robots: Counter[str] = Counter()
         self._sequence = 0
-        self.frames = 0
+        self.tally = Tally(robots)
         self.frames_dropped = 0
         self.frames_unreadable = 0
         self.frames_not_recorded = 0
         self.problem = ""
 
-    def add(self, result: FrameResult, arrived_ns: int, solved_ns: int, published_ns: int) -> None:
+    def add(self, frame: Frame, result: FrameResult, solved_ns: int, published_ns: int) -> None:
         """Count one frame."""
         fates = Counter(result.blobs.fates.tolist())
         rejected: Counter[str] = Counter()
@@ -39,15 +43,13 @@ class Health:
                 rejected[Fate.Name(fate)] = count
         entry = (
             published_ns,
-            (solved_ns - arrived_ns) * 1e-9,
+            (solved_ns - frame.arrived_ns) * 1e-9,
             (published_ns - result.exposed_ns) * 1e-9,
             rejected,
         )
-        robots = Counter(answer.state for answer in result.answers.values())
+        self.tally.add(frame, result)
         with self._lock:
-            self.frames += 1
             self._recent.append(entry)
-            self._robots = robots
 
     def message(self, now_ns: int) -> Message:
         """The status message for the last second."""
@@ -55,7 +57,6 @@ class Health:
             while self._recent and self._recent[0][0] < now_ns - WINDOW_NS:
                 self._recent.popleft()
             recent = list(self._recent)
-            robots = dict(self._robots) if recent else {}
             self._sequence += 1
             sequence = self._sequence
         rejected: Counter[str] = Counter()
@@ -66,7 +67,7 @@ class Health:
         status = pb.Status(
             time_ns=now_ns,
             source=self._source,
-            frames=self.frames,
+            frames=self.tally.frames,
             frames_dropped=self.frames_dropped,
             frames_unreadable=self.frames_unreadable,
             frames_not_recorded=self.frames_not_recorded,
@@ -76,7 +77,7 @@ class Health:
             latency_p50_s=float(np.median(latency)),
             latency_p99_s=float(np.percentile(latency, 99)),
             rejected=dict(rejected),
-            robots=robots,
+            robots=Counter(self.tally.newest().values()) if recent else {},
             problem=self.problem,
         )
         return Message(keys.status(self._camera), STATUS, to_bytes(status), now_ns, now_ns, sequence)

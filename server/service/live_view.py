@@ -17,7 +17,8 @@ from asterism.protocol.codec import decode_frame_report
 from asterism.protocol.errors import WorldError
 from asterism.protocol.messages import FRAME_REPORT, Message
 from asterism.protocol.rig import Rig
-from asterism.recordings.drawing import APPLICATION, Drawing, blueprint
+from asterism.recordings.drawing import APPLICATION, Drawing
+from asterism.recordings.layout import blueprint
 from asterism.server.chain.frame import Frame
 from asterism.server.service.say import say
 

@@ -1,16 +1,32 @@
-"""What commands tell a person, on the terminal's error channel, so that their output can be piped."""
+"""What commands tell a person, on the terminal's error channel, so that their output can be piped.
 
-import sys
+Nobody prints there but the handler that `telling` sets up: what is said here, and what asterism's loggers tell.
+"""
 
-from asterism.protocol.rig import Rig, hidden_led_warnings
+import logging
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from asterism.protocol.rig import Rig
+
+SAID = "asterism.said"
+
+_LOG = logging.getLogger(SAID)
 
 
 def say(text: str) -> None:
-    """One line."""
-    print(f"asterism: {text}", file=sys.stderr, flush=True)
+    """One line; --quiet leaves it out."""
+    _LOG.info(text)
 
 
-def say_warnings(rig: Rig) -> None:
+def complain(text: str) -> None:
+    """One line that --quiet does not leave out: why a command fails."""
+    _LOG.error(text)
+
+
+def say_warnings(rig: "Rig") -> None:
     """What a rig's constellations leave open."""
+    from asterism.protocol.rig import hidden_led_warnings  # numpy would slow --help down
+
     for warning in hidden_led_warnings(rig):
         say(f"warning: {warning}")

@@ -9,6 +9,7 @@ Frames depend on the scene and their index alone, so any frame can be rendered o
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,7 +140,7 @@ class Scene:
                     seen = led + float(robot.led_offset.shift(np.array(max(1.0 - facing**2, 0.0)))) * axis
                 level = look.brightness * float(self.led_brightness[k, number]) * facing
                 x0, y0, size_x, size_y = trace_disc(
-                    self.lens, seen, normal, radius, look.psf_px, *self._quadrature, light
+                    self.lens, seen, normal, radius, look.psf_px, self._quadrature, light
                 )
                 patch = level * light[:size_y, :size_x]
                 _expose(image, patch, x0, y0, look, rng)
@@ -209,14 +210,23 @@ def _glint(rng: np.random.Generator, width: int, height: int, psf_px: float) -> 
     return rng.uniform(60, 240) * soft, x0, y0
 
 
+class Quadrature(NamedTuple):
+    """Where a disc is sampled: Gauss-Legendre ``nodes`` and ``weights`` (k,) on 0..1 over the squared radius, and so
+    many even ``spokes``.
+    """
+
+    nodes: Floats
+    weights: Floats
+    spokes: int
+
+
 @compiled
-def trace_disc(lens, centre, normal, radius, psf, nodes, weights, spokes, light):
+def trace_disc(lens, centre, normal, radius, psf, quadrature, light):
     """Image of a uniform disc, plateau 1, summed into ``light`` (h, w) from its corner on.
 
-    ``centre`` (3,) and ``normal`` (3,) in the camera's frame, ``radius`` m, ``psf`` px. The disc is integrated over
-    the squared radius (Gauss-Legendre ``nodes`` and ``weights`` (k,) on 0..1) and the angle (``spokes`` even steps);
-    each point's light is the product of two differences of error functions, the exact integral of the Gaussian over
-    the pixels. Returns x, y of the corner in the image and the patch's width and height.
+    ``centre`` (3,) and ``normal`` (3,) in the camera's frame, ``radius`` m, ``psf`` px, a `Quadrature` of it. Each
+    point's light is the product of two differences of error functions, the exact integral of the Gaussian over the
+    pixels. Returns x, y of the corner in the image and the patch's width and height.
     """
     # Two directions in the disc's plane.
     ax, ay, az = (0.0, -normal[2], normal[1]) if abs(normal[0]) < 0.7 else (-normal[1], normal[0], 0.0)
@@ -239,6 +249,7 @@ def trace_disc(lens, centre, normal, radius, psf, nodes, weights, spokes, light)
     px, py = project_point(lens, centre[0] + h * ax, centre[1] + h * ay, centre[2] + h * az)
     qx, qy = project_point(lens, centre[0] + h * bx, centre[1] + h * by, centre[2] + h * bz)
     area = abs((px - cx) * (qy - cy) - (py - cy) * (qx - cx)) / (h * h) * math.pi * radius * radius
+    nodes, weights, spokes = quadrature
     for ring in range(nodes.shape[0]):
         r = radius * math.sqrt(nodes[ring])
         share = area * weights[ring] / spokes
@@ -265,8 +276,8 @@ def trace_disc(lens, centre, normal, radius, psf, nodes, weights, spokes, light)
     return x0, y0, size, size
 
 
-def quadrature(radius_px: float, psf_px: float) -> tuple[Floats, Floats, int]:
+def quadrature(radius_px: float, psf_px: float) -> Quadrature:
     """Nodes and weights over the squared radius and the number of spokes that integrate a disc to 0.02 %."""
     blurs = radius_px / psf_px
     nodes, weights = np.polynomial.legendre.leggauss(max(4, math.ceil(0.7 * blurs) + 2))
-    return 0.5 * (nodes + 1.0), 0.5 * weights, max(12, math.ceil(4.0 * blurs))
+    return Quadrature(0.5 * (nodes + 1.0), 0.5 * weights, max(12, math.ceil(4.0 * blurs)))

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from asterism.protocol.errors import InputError
+from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig
 from asterism.server.sources.camera import Camera
 from asterism.server.sources.files import ImageFiles, image_files
@@ -54,5 +55,5 @@ def refuse_endless(text: str, command: str) -> None:
     if text == "sim" or text.isdigit() or text.startswith("/dev/video"):
         raise InputError(
             f"{text}: has no end; {command} takes a folder or glob of images, a video or a recording "
-            "(asterism simulate makes images)"
+            f"({typed('simulate')} makes images)"
         )

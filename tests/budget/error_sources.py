@@ -10,8 +10,9 @@ from asterism.protocol.rig import Rig, Robot
 from asterism.server.budget.budget import Poses
 from asterism.server.budget.uncertainty import Uncertainty
 from asterism.server.pose.lens import lens_of, undistort
+from asterism.server.pose.matched import Constellations, Matched, Measured
 from asterism.server.pose.planar import NO_SOLUTION
-from asterism.server.pose.solve import solve_robots
+from asterism.server.pose.solve import Solutions, solve_robots
 from asterism.server.pose.spot_shift import optics_of
 
 
@@ -82,23 +83,21 @@ def solved(rig: Rig, robot: Robot, poses: Poses, centres: Floats, covariances: F
     T_robot_plane = robot.T_robot_plane
     true = [Pose.from_matrix(turn, t) for turn, t in zip(poses.rotations, poses.ts, strict=True)]
     starts = [pose @ T_robot_plane for pose in true]
-    rotations, ts, costs = np.empty((n, 2, 3, 3)), np.empty((n, 2, 3)), np.empty((n, 2))
-    told, residuals = np.empty((n, 2, 6, 6)), np.empty((n, 2, 6, 2))
-    solve_robots(
-        np.tile(robot.leds_plane, (n, 1, 1)), np.arange(6 * n).reshape(n, 6), rays, ray_covariances, pixels,
-        np.array([pose.rotation for pose in starts]), np.array([pose.position for pose in starts]),
-        lens, np.tile(optics_of(robot), (n, 1)), rotations, ts, costs, told, residuals,
-    )  # fmt: skip
+    constellations = Constellations(robot.leds_plane[None], optics_of(robot)[None])
+    rotations, ts = np.array([pose.rotation for pose in starts]), np.array([pose.position for pose in starts])
+    matched = Matched(np.zeros(n, np.int64), np.arange(6 * n).reshape(n, 6), rotations, ts)
+    told = Solutions.room(n)
+    solve_robots(lens, constellations, matched, Measured(rays, ray_covariances, pixels), told)
     errors, chosen = np.full((n, 6), np.nan), np.zeros((n, 6, 6))
     for k in range(n):
         best = np.inf
         for which in range(2):
-            if costs[k, which] >= NO_SOLUTION:
+            if told.costs[k, which] >= NO_SOLUTION:
                 continue
-            found = Pose.from_matrix(rotations[k, which], ts[k, which]) @ T_robot_plane.inverse()
+            found = Pose.from_matrix(told.rotations[k, which], told.ts[k, which]) @ T_robot_plane.inverse()
             turned = log_rotation(found.rotation @ true[k].rotation.T)
             if np.linalg.norm(turned) < best:
                 best = float(np.linalg.norm(turned))
                 errors[k] = np.concatenate([found.position - true[k].position, turned])
-                chosen[k] = told[k, which]
+                chosen[k] = told.covariances[k, which]
     return errors, chosen

@@ -29,7 +29,7 @@ from asterism.server.budget.budget import (
     pose_by_image,
     poses_at,
 )
-from asterism.server.budget.uncertainty import KEYS, Uncertainty, read_uncertainty
+from asterism.server.budget.uncertainty import KEYS, LedError, Uncertainty, read_uncertainty
 from asterism.server.budget.workspace import budget_of
 from asterism.server.centres.centre_noise import ROUNDING, centre_covariances, centre_variances
 from asterism.server.simulation.demo_rig import DEMO_RIG
@@ -66,8 +66,16 @@ def one_led(k: int) -> Floats:
     return leds.reshape(6, 3)
 
 
+def _leds(k: int) -> Floats:
+    """Each coordinate alone, and all together larger."""
+    leds = make_rig(1).robots[0].leds
+    return 1e-6 * one_led(k) if k < 18 else 1e-5 * (leds - leds.mean(axis=0))
+
+
 # A small amount of each source: by name, its error for cause k, the uncertainty of that size, and how many causes.
+SIZE = {"r00": LedError(1e-6, 1e-5, "a test")}
 SMALL: list[tuple[str, Callable[[int], Errors], Uncertainty, int]] = [
+    ("LED positions", lambda k: Errors(leds=_leds(k)), replace(NOTHING, robots=SIZE), 19),
     ("LED positions", lambda k: Errors(leds=1e-6 * one_led(k)), replace(NOTHING, led_position_m=1e-6), 18),
     ("LED angular offset", lambda _: Errors(offset_m=1e-6), replace(NOTHING, offset_m=1e-6), 1),
     ("focal length", lambda _: Errors(focal=1e-5), replace(NOTHING, focal_relative=1e-5), 1),
@@ -76,7 +84,7 @@ SMALL: list[tuple[str, Callable[[int], Errors], Uncertainty, int]] = [
 ]
 
 
-@pytest.mark.parametrize(("name", "errors", "uncertainty", "causes"), SMALL, ids=[row[0] for row in SMALL])
+@pytest.mark.parametrize(("name", "errors", "uncertainty", "causes"), SMALL, ids=[f"{r[0]} {r[3]}" for r in SMALL])
 def test_every_source_alone_moves_the_pose_as_the_solver_says(
     name: str, errors: Callable[[int], Errors], uncertainty: Uncertainty, causes: int
 ) -> None:
@@ -252,16 +260,33 @@ def demo_rig(folder: Path) -> Path:
 
 
 class _Links(HTMLParser):
-    """Every address that a page names, and its images."""
+    """Every address that a page names, its tags, and for each table what encloses it; tags that end are balanced."""
 
     def __init__(self) -> None:
         super().__init__()
         self.addresses: list[str] = []
+        self.narrow: list[str] = []
         self.tags: list[str] = []
+        self.around_tables: list[tuple[str, str | None]] = []
+        self._open: list[tuple[str, str | None]] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
+        if tag == "table":
+            self.around_tables.append(self._open[-1])
+        if tag not in ("meta", "img", "source"):
+            self._open.append((tag, dict(attrs).get("class")))
+        if tag == "source":
+            self.narrow.append(dict(attrs)["srcset"] or "")
+            return
         self.addresses += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data", "action")]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop()[0] == tag
+
+    def close(self) -> None:
+        super().close()
+        assert not self._open
 
 
 @pytest.fixture(scope="module")
@@ -270,7 +295,7 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     systematic errors; what is left is noise, at the light of the frames.
     """
     folder = tmp_path_factory.mktemp("rig")
-    rig, film, out = demo_rig(folder), folder / "film", folder / "new" / "report"
+    rig, film, out = demo_rig(folder), folder / "film", folder / "report"
     given = "".join(f"{key}: {1e-7 if key == 'led_position_m' else 0}\n" for key in KEYS[2:])
     (folder / "uncertainty.yaml").write_text(given)
     printed = io.StringIO()
@@ -287,6 +312,7 @@ def test_the_page_needs_nothing_but_itself(reported: tuple[Path, str]) -> None:
     page = (out / "report.html").read_text()
     links = _Links()
     links.feed(page)
+    links.close()
     assert links.tags.count("img") == len(links.addresses) == 5
     plots = sorted(out.glob("*.png"))
     inlined = {base64.b64decode(address.removeprefix("data:image/png;base64,")) for address in links.addresses}
@@ -295,6 +321,30 @@ def test_the_page_needs_nothing_but_itself(reported: tuple[Path, str]) -> None:
     assert not {"script", "link", "iframe", "object"} & set(links.tags)
     assert "http" not in page
     assert not re.search(r"url\(|@import", page)
+
+
+def test_the_page_fits_a_phone(reported: tuple[Path, str]) -> None:
+    page = (reported[0] / "report.html").read_text()
+    links = _Links()
+    links.feed(page)
+    assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in page
+    # What is wider than the page scrolls by itself; nothing has a width of its own.
+    assert set(links.around_tables) == {("div", "wide")}
+    assert ".wide { overflow-x: auto;" in page
+    style = page.partition("<style>")[2].partition("</style>")[0]
+    assert re.findall(r"(?<![-\w])(?:min-)?width: *([^;})]+)", style) == ["100%"]
+    assert "width=" not in page.partition("</head>")[2]
+    assert len(links.narrow) == len(links.addresses) == 5
+    for wide, narrow in zip(links.addresses, links.narrow, strict=True):
+        wide_px, narrow_px = _width_px(wide), _width_px(narrow)
+        # Letters of the same size in px on a sheet as wide as the page.
+        assert wide_px == 1200
+        assert narrow_px < 700
+
+
+def _width_px(address: str) -> int:
+    png = base64.b64decode(address.removeprefix("data:image/png;base64,"))
+    return int.from_bytes(png[16:20])
 
 
 def test_the_page_tells_what_is_given_what_assumed_and_what_the_frames_told(reported: tuple[Path, str]) -> None:
@@ -333,12 +383,14 @@ def test_a_calibrations_report_says_how_sure_the_lens_is(tmp_path: Path) -> None
     camera = tmp_path / "mine.yaml"
     camera.write_text((DEMO_RIG.parent / "camera.yaml").read_text())
     assert read_uncertainty(tmp_path / "rig.yaml", "edge-model", camera) == Uncertainty(bias_px=0.001)
-    (tmp_path / "mine.report.yaml").write_text("sigmas: {fx: 0.7, fy: 0.7, cx: 0.2, cy: 0.4}\n")
+    (tmp_path / "mine.report.yaml").write_text(
+        "sigmas: {fx: 0.7, fy: 0.7, cx: 0.2, cy: 0.4, k1: 0.01, k2: 0.01, p1: 0.001, p2: 0.001, k3: 0.01}\n"
+    )
     (tmp_path / "uncertainty.yaml").write_text("principal_point_px: 0.1\n")
     told = read_uncertainty(tmp_path / "rig.yaml", "edge-model", camera)
     assert told.focal_relative == pytest.approx(0.7 / 1400.0)
     assert told.principal_point_px == 0.1
-    assert (told.calibrated, told.given) == ({"focal_relative"}, {"principal_point_px"})
+    assert (told.measured, told.given) == ({"focal_relative": "calibrate camera"}, {"principal_point_px"})
 
 
 def test_a_folder_that_holds_something_is_refused_before_any_work(
@@ -348,7 +400,7 @@ def test_a_folder_that_holds_something_is_refused_before_any_work(
     out.mkdir()
     (out / "notes.txt").write_text("mine")
     assert main(["report", "there is no such rig.yaml", "-o", str(out)]) == 2
-    assert capsys.readouterr().err == f"asterism: {out}: exists already, expected a new or empty folder\n"
+    assert capsys.readouterr().err.startswith(f"asterism: {out}: exists already, expected a new or empty folder, or --")
     assert main(["report", str(DEMO_RIG), "-o", str(out / "notes.txt")]) == 2
     assert "expected a new or empty folder" in capsys.readouterr().err
     assert [path.name for path in out.iterdir()] == ["notes.txt"]

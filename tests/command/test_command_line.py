@@ -11,6 +11,7 @@ import pytest
 
 from asterism.server.__main__ import main
 from asterism.server.command import calibrate, parser
+from asterism.server.command.shared_arguments import client_words
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.servers import asterism
 
@@ -97,7 +98,7 @@ def test_bad_input_gets_one_sentence_and_exit_code_2(
         (("locate", DEMO_RIG, tmp_path / "empty", "-o", out), "holds no images"),
         (("locate", DEMO_RIG, tmp_path / "none", "-o", out), "there is no such source"),
         (("locate", DEMO_RIG, "sim", "-o", out), "sim: has no end; locate takes a folder"),
-        (("locate", DEMO_RIG, frames, "-o", tmp_path / "no" / "x"), "cannot be written"),
+        (("locate", DEMO_RIG, frames, "-o", tmp_path / "no" / "x"), "there is no folder"),
         (("locate", DEMO_RIG, frames, "-o", out, "--smooth", "--independent"), "--independent and --smooth exclude"),
         (("locate", DEMO_RIG, frames), "the following arguments are required: -o"),
         (("serve", DEMO_RIG, frames, "--listen", "here"), "endpoint 'here': expected PROTOCOL/ADDRESS"),
@@ -119,10 +120,28 @@ def test_bad_input_gets_one_sentence_and_exit_code_2(
         (("simulate", DEMO_RIG, frames), "exists already, expected a new or empty folder"),
         (("simulate", DEMO_RIG, tmp_path / "s", "--frames", "0"), "argument --frames: '0'"),
         (("simulate", DEMO_RIG, tmp_path / "s", "--hide", "2"), "argument --hide: 2, expected a number from 0 to 1"),
-        (("simulate", DEMO_RIG, tmp_path / "s", "--glints", "-1"), "--glints: -1, expected 0 or more"),
+        (("simulate", DEMO_RIG, tmp_path / "s", "--glints", "-1"), "argument --glints: '-1', expected a"),
         (("nonsense",), "invalid choice: 'nonsense'"),
     ):
         assert words in refused(capsys, *arguments), arguments
+
+
+def test_a_hint_how_to_watch_leads_to_where_the_server_is(tmp_path: Path) -> None:
+    file = tmp_path / "zenoh.json5"
+    for text, words, expected in (
+        ("{}", [], []),
+        ("{}", ["--listen", "tcp/127.0.0.1:7448"], ["--connect", "tcp/127.0.0.1:7448"]),
+        ("{}", ["--connect", "tcp/10.0.0.1:7447"], ["--connect", "tcp/10.0.0.1:7447"]),
+        ("{}", ["--zenoh", str(file)], []),
+        ("{listen: {endpoints: ['tcp/127.0.0.1:9']}}", ["--zenoh", str(file)], ["--connect", "tcp/127.0.0.1:9"]),
+        (
+            "{mode: 'client', connect: {endpoints: ['tcp/10.0.0.1:9']}}",
+            ["--zenoh", str(file)],
+            ["--connect", "tcp/10.0.0.1:9"],
+        ),
+    ):
+        file.write_text(text)
+        assert client_words(parser.parser(["demo"]).parse_args(["demo", *words])) == expected
 
 
 def test_a_camera_that_does_not_open_is_exit_code_1(capsys: pytest.CaptureFixture[str]) -> None:

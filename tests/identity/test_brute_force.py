@@ -49,7 +49,10 @@ def test_identification_is_what_trying_everything_says(rng: np.random.Generator,
         assert len(seen.rows) <= 14
         candidates = explanations(plan.layouts, plan.focal * seen.rays, plan.focal, plan.near, plan.far)
         matches = cold(seen, rig)
-        found = {int(k): tuple(spots.tolist()) for k, spots in zip(matches.robots, matches.assignment, strict=True)}
+        found = {
+            int(k): tuple(spots.tolist())
+            for k, spots in zip(matches.found.robots, matches.found.assignment, strict=True)
+        }
         certain = clear(candidates)
         assert {robot: spots for robot, spots in found.items() if robot in certain} == certain
         possible = {(candidate.robot, candidate.spots) for candidate in candidates}

@@ -12,9 +12,9 @@ from asterism.protocol.rig import Rig
 from asterism.server.identity import assign
 from asterism.server.identity.evidence import score
 from asterism.server.identity.identify import Matches, Rays, identify
-from asterism.server.identity.neighbours import first_from, nearest_neighbours
+from asterism.server.identity.neighbours import Spots, first_from, nearest_neighbours
 from asterism.server.identity.plan import Plan, plan_for
-from asterism.server.identity.quads import CELLS, QuadTable, invariants, look_up
+from asterism.server.identity.quads import CELLS, QuadTable, View, invariants, look_up, room_to_look_up
 from asterism.server.pose.track import Tracks
 from tests.helpers import facing_pose
 from tests.rigs import make_rig, random_layout
@@ -82,8 +82,8 @@ def apart(
 def check(matches: Matches, where: dict[int, Floats]) -> tuple[int, int]:
     """How many robots were found with every LED right, and how many wrong in any way."""
     right = wrong = 0
-    for k, robot in enumerate(matches.robots.tolist()):
-        told = matches.assignment[k]
+    for k, robot in enumerate(matches.found.robots.tolist()):
+        told = matches.found.assignment[k]
         truth = where.get(robot)
         good = truth is not None and all(a in (-1, b) for a, b in zip(told, truth, strict=True))
         right, wrong = right + good, wrong + (not good)
@@ -127,7 +127,7 @@ def test_invariants_mean_what_they_say(rng: np.random.Generator) -> None:
 
 def test_the_table_holds_every_quad_in_every_rotation(rng: np.random.Generator) -> None:
     layouts = np.array([random_layout(rng) for _ in range(3)])
-    table = QuadTable(layouts)
+    table = QuadTable.of(layouts)
     order, values = np.empty(4, np.int64), np.empty(2)
     for robot, layout in enumerate(layouts):
         for leds in itertools.permutations(range(6), 4):
@@ -144,17 +144,15 @@ def test_four_leds_are_looked_up_in_any_perspective_and_their_mirror_image_is_no
     with the same labels.
     """
     focal, layouts = 1400.0, np.array([random_layout(rng) for _ in range(4)])
-    table = QuadTable(layouts)
-    four, order, values = np.empty((4, 2)), np.empty(4, np.int64), np.empty(2)
-    matches = np.empty(64, np.int64)
+    table = QuadTable.of(layouts)
+    room, order, values = room_to_look_up(), np.empty(4, np.int64), np.empty(2)
+    view = View(focal, 0.8 * focal / 2.0, 1.25 * focal / 0.8, math.cos(math.radians(75)), 0.2)
 
     def looked_up(flat: Floats, leds: tuple[int, ...]) -> list[list[int]]:
-        count = look_up(
-            flat, *leds, table.numbers, table.starts, table.held, 0.2, 0.8 * focal / 2.0, 1.25 * focal / 0.8,
-            math.cos(math.radians(75)), focal, four, order, values, matches,
-        )  # fmt: skip
-        assert count < len(matches)
-        return [table.entries[k].tolist() for k in matches[:count]]
+        room.four[:] = flat[list(leds)]
+        count = look_up(room, table, view)
+        assert count < len(room.matches)
+        return [table.entries[k].tolist() for k in room.matches[:count]]
 
     tried = missed = 0
     for _ in range(60):
@@ -177,8 +175,9 @@ def test_nearest_neighbours_equal_sorting_all_distances(rng: np.random.Generator
     points = rng.uniform(0, 500, (80, 2))
     usable = rng.random(80) < 0.8
     ranks, heights, radii = rng.permutation(80), rng.uniform(20, 200, 80), rng.uniform(1, 4, 80)
-    lists, counts, reaches = np.empty((80, 6), np.int32), np.zeros(80, np.int32), rng.uniform(90, 150, 80)
-    nearest_neighbours(points, usable, ranks, heights, radii, 0.5, 0.6, reaches, lists, counts)
+    reaches = rng.uniform(90, 150, 80)
+    spots = Spots(points, points, heights, heights, radii, usable)
+    lists, counts = nearest_neighbours(spots, ranks, reaches, 0.5, 0.6, 6)
     for i in np.flatnonzero(usable):
         away = np.hypot(*(points - points[i]).T)
         unlike = (heights < 0.5 * heights[i]) | (np.minimum(radii, radii[i]) < 0.6 * np.maximum(radii, radii[i]))
@@ -210,8 +209,8 @@ def test_cold_search_equals_brute_force_on_one_robot(rng: np.random.Generator) -
             if residual < best and np.linalg.det((np.linalg.pinv(basis) @ points)[:2]) > 0:
                 best, best_order = residual, order
         matches = cold(seen, rig)
-        assert matches.robots.tolist() == [0]
-        assert matches.assignment[0].tolist() == list(best_order)
+        assert matches.found.robots.tolist() == [0]
+        assert matches.found.assignment[0].tolist() == list(best_order)
 
 
 @pytest.mark.parametrize(("clutter", "hide"), [(0, 0.0), (30, 0.0), (30, 0.3)])
@@ -259,7 +258,7 @@ def test_four_leds_are_enough_where_nothing_else_explains_them(rng: np.random.Ge
         matches = cold(with_sizes(seen, plan, poses, where), rig)
         assert check(matches, where)[1] == 0
         lacking += len(hidden)
-        found += len(hidden.keys() & set(matches.robots.tolist()))
+        found += len(hidden.keys() & set(matches.found.robots.tolist()))
     assert found >= 0.6 * lacking
 
 
@@ -337,7 +336,7 @@ def test_a_robot_seen_twice_equally_bright_is_ambiguous(rng: np.random.Generator
         ),
     )
     matches = cold(both, rig)
-    assert matches.robots.tolist() == []
+    assert matches.found.robots.tolist() == []
     assert matches.doubts == {0: "it is seen in two places"}
 
 
@@ -411,8 +410,8 @@ def test_followed_robots_keep_their_leds_with_two_hidden(rng: np.random.Generato
     seen, where = spots_of(plan, moved, rng, hidden, clutter=20)
     matches = identify(seen, plan, tracks, 1_016_666_667)
     assert check(matches, where) == (8, 0)
-    assert matches.is_warm.all()
-    assert ((matches.assignment >= 0).sum(axis=1) == 4).all()
+    assert matches.warm == 8
+    assert ((matches.found.assignment >= 0).sum(axis=1) == 4).all()
 
 
 def test_a_wrong_prediction_falls_back_to_the_cold_search_of_the_same_frame(rng: np.random.Generator) -> None:

@@ -15,10 +15,11 @@ from rich.progress import track
 from rich.table import Table
 
 from asterism.protocol.geometry import Floats
-from asterism.server.chain.pipeline import SURE
+from asterism.server.chain.answers import SURE
 from asterism.server.pose.lens import lens_of
 from asterism.server.pose.linear_pose import pose_by_homography
-from asterism.server.pose.solve import solve_robots
+from asterism.server.pose.matched import Constellations, Matched, Measured
+from asterism.server.pose.solve import Solutions, solve_robots
 from asterism.server.pose.spot_shift import OPTICS
 from tests.chain.judging import TILTED_RAD
 from tests.helpers import facing_pose
@@ -57,15 +58,15 @@ def count_flips(
     assignment[:, :hidden] = -1
     ray_covariances = np.tile([sigma**2, 0.0, sigma**2], (6 * count, 1))
     pixels = camera.project(np.column_stack([rays, np.ones(len(rays))]))
-    rotations, ts, costs = np.empty((count, 2, 3, 3)), np.empty((count, 2, 3)), np.empty((count, 2))
-    covariances, residuals = np.empty((count, 2, 6, 6)), np.empty((count, 2, 6, 2))
-    solve_robots(
-        layouts, assignment, rays, ray_covariances, pixels, np.array([start.rotation for start in starts]),
-        np.array([start.position for start in starts]), lens_of(camera), np.zeros((count, OPTICS)),
-        rotations, ts, costs, covariances, residuals,
-    )  # fmt: skip
+    rotations, ts = np.array([start.rotation for start in starts]), np.array([start.position for start in starts])
+    matched, solutions = Matched(np.arange(count), assignment, rotations, ts), Solutions.room(count)
+    constellations, measured = (
+        Constellations(layouts, np.zeros((count, OPTICS))),
+        Measured(rays, ray_covariances, pixels),
+    )
+    solve_robots(lens_of(camera), constellations, matched, measured, solutions)
     told = np.zeros(4)
-    for pose, both, (first, second) in zip(poses, rotations, costs, strict=True):
+    for pose, both, (first, second) in zip(poses, solutions.rotations, solutions.costs, strict=True):
         found = both[0 if first <= second else 1][:, 2]
         flagged = abs(first - second) < 2.0 * np.log(SURE)
         sight, normal = pose.position / np.linalg.norm(pose.position), pose.rotation[:, 2]

@@ -54,7 +54,7 @@ class Light:
 
     def disc(self, centre: Floats, normal: Floats, radius: float, level: float) -> None:
         """What an LED looks like there: ``centre`` and ``normal`` in the camera's frame, m."""
-        x0, y0, w, h = trace_disc(self.scene.lens, centre, normal, radius, LOOK.psf_px, *NODES, self._patch)
+        x0, y0, w, h = trace_disc(self.scene.lens, centre, normal, radius, LOOK.psf_px, NODES, self._patch)
         self.add(level * self._patch[:h, :w], x0, y0)
 
     def ray(self) -> Floats:

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from asterism.protocol.rig import load_rig
-from asterism.server.calibration.leds.bundle import rigid_fit
 from asterism.server.calibration.leds.calibration import calibrate_leds
+from asterism.server.calibration.leds.gauge import Gauge, rigid_fit
 from asterism.server.simulation.simulate import Look
 from asterism.server.sources.open_source import open_source
 from tests.calibration.leds.films import write_film
@@ -47,7 +47,7 @@ def main() -> int:
             found, given = load_rig(out).robots[0].leds, load_rig(folder / "rig.yaml").robots[0].leds
             rig = load_rig(folder / "rig.yaml")
             frames = list(open_source(str(folder / "frames"), rig, print).frames())
-            adjusted = calibrate_leds(rig, "alpha", lambda f=frames: f, "film", (0, 3, metres)).adjusted
+            adjusted = calibrate_leds(rig, "alpha", lambda f=frames: f, "film", Gauge(given, (0, 3, metres))).adjusted
         off = _off(adjusted.leds, given, true).ravel()
         weighted = off @ np.linalg.pinv(adjusted.covariance, rcond=1e-8, hermitian=True) @ off
         start, end = (np.linalg.norm(_off(leds, true, true), axis=1) for leds in (given, found))

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.protocol.messages import Fate
-from asterism.server.centres.blobs import Blobs, Scratch, find_blobs
+from asterism.server.centres.blobs import Blobs, find_blobs
 from asterism.server.identity.plan import LARGEST_SPOT
+from asterism.server.segmentation.segment import Scratch
 from asterism.server.sources.images import read_image
 from tests.helpers import SHARED
 
@@ -40,7 +41,7 @@ def main(out: Path, photographs: list[Path]) -> None:
         image = read_image(path, None)
         height, width = image.shape
         largest = LARGEST_SPOT * float(np.hypot(width, height))
-        blobs = find_blobs(image, largest, np.empty((0, 4), np.int64), "edge-model", Scratch(height, width))
+        blobs = find_blobs(image, largest, np.empty((0, 4), np.int64), "edge-model", Scratch.of(height, width))
         cv2.imwrite(str(out / f"{path.stem}.png"), drawn(image, blobs))
         names, counts = np.unique([Fate.Name(int(fate)) for fate in blobs.fates], return_counts=True)
         said = ", ".join(f"{count} {name.lower().replace('_', ' ')}" for name, count in zip(names, counts, strict=True))

@@ -31,7 +31,7 @@ from asterism.server.identity.plan import plan_for
 from asterism.server.segmentation.background import background_of, seed_thresholds
 from asterism.server.segmentation.components import connect
 from asterism.server.segmentation.segment import SEED_LEAST, SEED_SIGMAS
-from asterism.server.segmentation.spots import measure_spots
+from asterism.server.segmentation.spots import Background, Limits, measure_spots
 from asterism.server.simulation.simulate import Scene
 from tests.measure import tags
 from tests.measure.plain_chain import PlainChain
@@ -49,7 +49,7 @@ STYLES = {
     FOLLOWING: "C0o-", ALONE: "C1s-", PLAIN: "C2^-", tags.Aruco.name: "C3D-", tags.AprilTags.name: "C4v-", MEMORY: "k:",
 }  # fmt: skip
 STAGES = (
-    (blobs, "segment"), (blobs, "refine_centres"), (pipeline, "_rays"), (pipeline, "identify"),
+    (blobs, "segment"), (blobs, "refine_centres"), (pipeline, "rays_of"), (pipeline, "identify"),
     (pipeline, "refine_leaning"), (pipeline, "solve_robots"), (pipeline, "choose"),
 )  # fmt: skip
 
@@ -157,10 +157,9 @@ def parts_of_segment(rig: Rig, images: list[NDArray[np.uint8]]) -> dict[str, lis
         timed(seed_thresholds, level, noise, *seeds, *image.shape, scratch.thresholds)
         tables = (scratch.runs, scratch.parent, scratch.components)
         count = timed(connect, image, scratch.thresholds, scratch.hot, *tables)
-        limits = (*seeds, plan.largest_radius_px, plan.masks)
-        timed(
-            measure_spots, image, scratch.thresholds, scratch.components, count, level, noise, *limits, scratch.spots
-        )  # fmt: skip
+        limits = Limits(*seeds, plan.largest_radius_px, plan.masks)
+        components, background = scratch.components[:count], Background(level, noise)
+        timed(measure_spots, image, scratch.thresholds, components, background, limits, scratch.spots)
     return {kernel: times_us[len(images) :] for kernel, times_us in taken.items()}
 
 

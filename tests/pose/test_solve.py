@@ -5,7 +5,8 @@ import pytest
 
 from asterism.protocol.geometry import Floats, log_rotation
 from asterism.server.pose.lens import lens_of
-from asterism.server.pose.solve import solve_robots
+from asterism.server.pose.matched import Constellations, Matched, Measured
+from asterism.server.pose.solve import Solutions, solve_robots
 from asterism.server.pose.spot_shift import OPTICS
 from tests.helpers import facing_pose
 from tests.rigs import make_camera, random_layout
@@ -29,19 +30,16 @@ def nees(rng: np.random.Generator, hidden: int, led_error_m: float) -> tuple[Flo
     assignment[:, :hidden] = -1
     ray_covariances = np.tile([sigma**2, 0.0, sigma**2], (6 * ROBOTS, 1))
     pixels = camera.project(np.column_stack([rays, np.ones(len(rays))]))
-    rotations, ts, costs = np.empty((ROBOTS, 2, 3, 3)), np.empty((ROBOTS, 2, 3)), np.empty((ROBOTS, 2))
-    covariances, residuals = np.empty((ROBOTS, 2, 6, 6)), np.empty((ROBOTS, 2, 6, 2))
-    solve_robots(
-        layouts, assignment, rays, ray_covariances, pixels, np.array([pose.rotation for pose in poses]),
-        np.array([pose.position for pose in poses]), lens_of(camera),
-        np.zeros((ROBOTS, OPTICS)), rotations, ts, costs, covariances, residuals,
-    )  # fmt: skip
+    starts = np.array([pose.rotation for pose in poses]), np.array([pose.position for pose in poses])
+    matched, found = Matched(np.arange(ROBOTS), assignment, *starts), Solutions.room(ROBOTS)
+    constellations = Constellations(layouts, np.zeros((ROBOTS, OPTICS)))
+    solve_robots(lens_of(camera), constellations, matched, Measured(rays, ray_covariances, pixels), found)
     told = []
     for k, pose in enumerate(poses):
-        turned = log_rotation(rotations[k, 0] @ pose.rotation.T)
-        error = np.concatenate([ts[k, 0] - pose.position, turned])
-        told.append(error @ np.linalg.solve(covariances[k, 0], error))
-    return np.array(told), np.sqrt(np.square(residuals[:, 0]).mean(axis=(1, 2)))
+        turned = log_rotation(found.rotations[k, 0] @ pose.rotation.T)
+        error = np.concatenate([found.ts[k, 0] - pose.position, turned])
+        told.append(error @ np.linalg.solve(found.covariances[k, 0], error))
+    return np.array(told), np.sqrt(np.square(found.residuals[:, 0]).mean(axis=(1, 2)))
 
 
 @pytest.mark.parametrize("hidden", [0, 1, 2])

@@ -5,7 +5,8 @@ import pytest
 
 from asterism.protocol.geometry import Floats, Pose
 from asterism.server.pose.lens import lens_of
-from asterism.server.pose.solve import solve_robots
+from asterism.server.pose.matched import Constellations, Lit, Matched, Measured
+from asterism.server.pose.solve import Solutions, solve_robots
 from asterism.server.pose.spot_shift import DISC_RADIUS, OPTICS, correct_rays, spot_shifts
 from tests.helpers import assert_poses_close, conic_centres, facing_pose
 from tests.rigs import make_camera, random_layout
@@ -30,14 +31,11 @@ def solve(
     camera = make_camera()
     pixels = camera.project(np.column_stack([rays, np.ones(len(rays))]))
     covariances = np.tile([(0.01 / 1400) ** 2, 0.0, (0.01 / 1400) ** 2], (6, 1))
-    rotations, ts, costs = np.empty((1, 2, 3, 3)), np.empty((1, 2, 3)), np.empty((1, 2))
-    pose_covariances, residuals = np.empty((1, 2, 6, 6)), np.empty((1, 2, 6, 2))
-    solve_robots(
-        layout[None], np.arange(6)[None] if assignment is None else assignment[None], rays, covariances, pixels,
-        start.rotation[None], start.position[None], lens_of(camera), optics(radius)[None],
-        rotations, ts, costs, pose_covariances, residuals,
-    )  # fmt: skip
-    return rotations[0], ts[0], costs[0], residuals[0]
+    labels = np.arange(6) if assignment is None else assignment
+    matched = Matched(np.zeros(1, np.int64), labels[None], start.rotation[None], start.position[None])
+    constellations, found = Constellations(layout[None], optics(radius)[None]), Solutions.room(1)
+    solve_robots(lens_of(camera), constellations, matched, Measured(rays, covariances, pixels), found)
+    return found.rotations[0], found.ts[0], found.costs[0], found.residuals[0]
 
 
 @pytest.mark.parametrize("radius", [0.001, 0.0025, 0.01])
@@ -71,10 +69,10 @@ def test_poses_of_discs_are_exact_where_the_radius_is_known(rng: np.random.Gener
 
 def test_a_robot_whose_leds_have_no_size_is_left_as_it_is(rng: np.random.Generator) -> None:
     layout, pose = plate(rng), facing_pose(rng)
-    seen, applied = rng.standard_normal((6, 2)), np.zeros((6, 2))
-    before = seen.copy()
-    assert correct_rays(pose.rotation, pose.position, layout, optics(0.0), seen, applied) == 0.0
-    np.testing.assert_array_equal(seen, before)
+    lit = Lit(layout, rng.standard_normal((6, 2)), np.zeros((6, 2)), np.ones((6, 3)))
+    before = lit.seen.copy()
+    assert correct_rays(pose.rotation, pose.position, lit, optics(0.0)) == 0.0
+    np.testing.assert_array_equal(lit.seen, before)
 
 
 def test_the_other_minimum_gets_its_own_shift(rng: np.random.Generator) -> None:

@@ -11,11 +11,14 @@ from asterism.server.pose.track import (
     EVIDENCE,
     HAS_OTHER,
     MOST_EVIDENCE,
+    TURN_SIGMA,
     UNKNOWN_SPEED,
     VELOCITY_SIGMA,
+    LastSeen,
     Tracks,
     follow_track,
     predict,
+    predict_room,
     tilt_cost,
 )
 from tests.helpers import random_rotation
@@ -25,20 +28,12 @@ COVARIANCE = np.diag([1e-8] * 3 + [1e-6] * 3)
 
 
 def follow(tracks: Tracks, now_ns: int, rotation: np.ndarray, t: np.ndarray, evidence: float = 3.0) -> None:
-    follow_track(
-        tracks.seen_ns, tracks.rotations, tracks.ts, tracks.velocities, tracks.turns, tracks.other_rotations,
-        tracks.numbers, 0, now_ns, rotation, t, COVARIANCE, 170.0, np.eye(3), True, evidence,
-    )  # fmt: skip
+    follow_track(tracks, 0, now_ns, LastSeen(rotation, t, COVARIANCE, 170.0, np.eye(3), True, evidence))
 
 
 def predicted(tracks: Tracks, now_ns: int) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
-    n = len(tracks.seen_ns)
-    index, rotations, ts, sigmas = np.empty(n, np.int64), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 2))
-    count = predict(
-        tracks.seen_ns, tracks.rotations, tracks.ts, tracks.velocities, tracks.turns, tracks.numbers, now_ns,
-        index, rotations, ts, sigmas,
-    )  # fmt: skip
-    return count, rotations[0], ts[0], sigmas[0]
+    told = predict_room(len(tracks.seen_ns))
+    return predict(tracks, now_ns, told), told.rotations[0], told.ts[0], told.sigmas[0]
 
 
 def test_steady_motion_is_predicted_exactly(rng: np.random.Generator) -> None:
@@ -88,13 +83,18 @@ def test_a_copy_leaves_the_original_alone_and_another_rigs_tracks_are_none() -> 
 
 def test_the_remembered_tilt_costs_nothing_the_other_what_speaks_against_it() -> None:
     here, there = np.eye(3), exp_rotation(np.array([math.radians(30), 0, 0]))
-    args = (here, np.zeros(3), 0.1, there, 1.0, 3.0, 0.016)
-    assert tilt_cost(here, *args) == pytest.approx(0.0, abs=1e-9)
-    assert tilt_cost(there, *args) == pytest.approx(2 * 0.95 * 3.0, rel=1e-6)
-    between = exp_rotation(np.array([math.radians(15), 0, 0]))
-    assert tilt_cost(between, *args) > 5.0
+    tracks = Tracks.none(1)
+    tracks.seen_ns[0], tracks.rotations[0], tracks.other_rotations[0] = 1, here, there
+    tracks.numbers[0, [TURN_SIGMA, HAS_OTHER, EVIDENCE]] = 0.1, 1.0, 3.0
+
+    def cost(rotation: np.ndarray) -> float:
+        return float(tilt_cost(tracks, 0, 1 + STEP_NS, rotation))
+
+    assert cost(here) == pytest.approx(0.0, abs=1e-9)
+    assert cost(there) == pytest.approx(2 * 0.95 * 3.0, rel=1e-6)
+    assert cost(exp_rotation(np.array([math.radians(15), 0, 0]))) > 5.0
     # However much speaks against it, new evidence can turn it.
-    assert tilt_cost(exp_rotation(np.array([0, math.radians(90), 0])), *args) == pytest.approx(2 * MOST_EVIDENCE)
+    assert cost(exp_rotation(np.array([0, math.radians(90), 0]))) == pytest.approx(2 * MOST_EVIDENCE)
 
 
 def test_evidence_is_bounded() -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from asterism.protocol import rig, rig_hints
 from asterism.protocol.errors import InputError
 from asterism.protocol.rig import hidden_led_warnings, load_rig
 from asterism.server.simulation.demo_rig import DEMO_RIG
@@ -109,7 +110,8 @@ LED = "      - [0.050, 0.000, 0.012]\n"
         ("[1.0, 0.0, 0.0, 0.0]", "[1.0, 0.0, 0.0, 1.0]", "world.orientation: a quaternion of length 1.41421"),
         ("axis: [0, 0, 2]", "axis: [0, 0, 0]", "robots.alpha.led.axis: [0, 0, 0] has no direction"),
         ("axis: [0, 0, 2]", "axis: [1, 0, 0]", "expected led.axis to point out of it"),
-        ("radius: 0.0025", "radius: 2.5", "robots.alpha.led.radius: 2.5, expected m"),
+        ("radius: 0.0025", "radius: 2.5", "robots.alpha.led.radius: 2.5, expected m, at most a quarter"),
+        ("radius: 0.0025", "radius: 2.5", "is that mm? For example 0.0025"),
         ("within_deg: 40", "within_deg: 400", "robots.alpha.normal.within_deg: 400, expected at most 180"),
         ("  bravo:", "  bra/vo:", "the robot's id 'bra/vo' holds '/'"),
         ("  bravo:", "  '*':", "the robot's id '*' holds '*'"),
@@ -135,9 +137,78 @@ def test_a_normal_needs_the_world(folder: Path) -> None:
     assert "robots.alpha.normal: needs the rig's `world`" in refusal(folder, text)
 
 
-def test_millimetres_instead_of_metres_are_noticed(folder: Path) -> None:
-    big = RIG.replace("[0.050, 0.000, 0.012]", "[50.0, 0.0, 12.0]")
-    assert "m apart, expected at most 5 m; is that mm?" in refusal(folder, big)
+@pytest.mark.parametrize(
+    ("metres", "millimetres", "words"),
+    [
+        (LED[8:-1], "[50.0, 0.0, 12.0]", "m apart, expected at most 5 m; is that mm? Expected m, for example "),
+        (LED[8:-1], "[50.0, 0.0, 12.0]", "[0.05, 0, 0.012]"),
+        ("[0.8, 2.0]", "[800, 2000]", "range: [800, 2000], expected at most 100 m each; is that mm? Expected m, for "),
+        ("[0.8, 2.0]", "[800, 2000]", "for example [0.8, 2]"),
+        ("[0.0, 0.0, 1.3]", "[0, 0, 1300]", "world.position: [0, 0, 1300], expected at most 100 m each; is that mm?"),
+        ("[0.0, 0.0, 1.3]", "[0, -1300, 20]", "is that mm? Expected m, for example [0, -1.3, 0.02]"),
+        ("[0.0, 0.0, -0.03]", "[0, 0, -30]", "robots.alpha.points.tool: 30.012 m from the LEDs, expected at most 100"),
+        ("[0.0, 0.0, -0.03]", "[0, 0, -30]", "is that mm? Expected m, for example [0, 0, -0.03]"),
+    ],
+)
+def test_millimetres_instead_of_metres_are_noticed(folder: Path, metres: str, millimetres: str, words: str) -> None:
+    assert metres in RIG
+    assert words in refusal(folder, RIG.replace(metres, millimetres, 1))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("[0.8, 2.0]", "[15.0, 25.0]"),  # high up under a hall's roof
+        ("[0.8, 2.0]", "[0.02, 0.05]"),  # under a microscope
+        ("[0.0, 0.0, 1.3]", "[85.0, -40.0, 18.0]"),  # in a long hall's own frame
+        ("[0.0, 0.0, -0.03]", "[2.5, 0.0, -1.0]"),  # at the end of a long arm
+    ],
+)
+def test_large_and_small_rigs_that_are_right_are_read(folder: Path, old: str, new: str) -> None:
+    assert old in RIG
+    (folder / "rig.yaml").write_text(RIG.replace(old, new, 1))
+    assert len(load_rig(folder / "rig.yaml").robots) == 2
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("camera:", "intrinsics:", "unknown key 'intrinsics'; did you mean 'camera'? Accepted: camera, range"),
+        ("camera:", "calibration:", "did you mean 'camera'?"),
+        ("world:", "extrinsics:", "unknown key 'extrinsics'; did you mean 'world'?"),
+        ("world:", "T_world_camera:", "did you mean 'world'?"),
+        ("  position:", "  translation:", "world: unknown key 'translation'; did you mean 'position'?"),
+        ("  orientation:", "  quaternion:", "world: unknown key 'quaternion'; did you mean 'orientation'?"),
+        ("    leds:", "    led_positions:", "robots.alpha: unknown key 'led_positions'; did you mean 'leds'?"),
+        ("    leds:", "    positions:", "robots.alpha: unknown key 'positions'; did you mean 'leds'?"),
+        ("    leds:", "    LED-positions:", "did you mean 'leds'?"),
+        ("    leds:", "    LEDs:", "did you mean 'leds'?"),
+        ("    leds:", "    markers:", "did you mean 'leds'?"),
+        ("    leds:", "    constellation:", "did you mean 'leds'?"),
+        ("    points:", "    led_radius: 0.0025\n    points:", "did you mean 'led.radius'?"),
+        ("capture:", "exposure_us: 500\ncapture:", "unknown key 'exposure_us'; did you mean 'capture.exposure_us'?"),
+        ("rate: 60", "fps: 60", "capture: unknown key 'fps'; did you mean 'rate'?"),
+        ("    points:", "    colour: red\n    points:", "unknown key 'colour'; Accepted: leds, led, points, normal"),
+    ],
+)
+def test_other_words_for_a_key_are_understood(folder: Path, old: str, new: str, words: str) -> None:
+    assert old in RIG
+    assert words in refusal(folder, RIG.replace(old, new, 1))
+
+
+def test_every_word_stands_for_a_key_that_is_accepted() -> None:
+    accepted = {
+        "RIG_WORDS": {*rig.RIG_KEYS, *(f"capture.{key}" for key in ("rate", "exposure_us", "gain", "bits", "size"))},
+        "CAPTURE_WORDS": {"rate", "exposure_us", "gain", "size", "bits"},
+        "WORLD_WORDS": {"position", "orientation"},
+        "ROBOT_WORDS": {"leds", "points", "normal", "led.radius", "led.axis", "led.offset"},
+        "LED_WORDS": {"radius", "axis"},
+        "NORMAL_WORDS": {"world", "within_deg"},
+    }
+    for name, keys in accepted.items():
+        words = getattr(rig_hints, name)
+        assert set(words.values()) <= keys, name
+        assert not set(words) & keys, name
 
 
 def robots_text(*layouts: np.ndarray) -> str:

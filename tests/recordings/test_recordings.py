@@ -54,6 +54,18 @@ def record(parent: Path, frames: Made, every: int = 1) -> Recorder:
     return recorder
 
 
+def test_a_recorder_knows_how_much_it_has_written(
+    tmp_path: Path, frames: Made, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = record(tmp_path / "whole", frames)
+    assert whole.bytes_written == sum(file.stat().st_size for file in whole.folder.iterdir())
+    monkeypatch.setattr("asterism.recordings.recorder.FRAMES_SPLIT_BYTES", 1000)
+    split = record(tmp_path / "split", frames)
+    assert len(list(split.folder.glob("frames-*"))) > 1
+    assert split.bytes_written == sum(file.stat().st_size for file in split.folder.iterdir())
+    assert whole.bytes_free() > 0
+
+
 def test_the_files_that_the_rig_names_are_kept(tmp_path: Path, frames: Made) -> None:
     text = DEMO_RIG.read_text().replace("led: {", "led: {offset: glass/led.yaml, ", 1)
     offset = "axial_shift: [-0.002, 0.0003]\nup_to_deg: 50\n"

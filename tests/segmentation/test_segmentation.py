@@ -6,10 +6,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from asterism.protocol.messages import Fate
-from asterism.server.centres.blobs import Blobs, Scratch, find_blobs
+from asterism.server.centres.blobs import Blobs, find_blobs
 from asterism.server.centres.centre import refine_leaning
 from asterism.server.segmentation.background import BLOCK_ROWS, background_of, interpolate, seed_thresholds
 from asterism.server.segmentation.components import AREA, PEAK, SATURATED, X0, X1, Y0, Y1, connect, hot_width
+from asterism.server.segmentation.segment import Scratch
 from tests.centres.rendering import Canvas
 
 NO_MASKS = np.empty((0, 4), np.int64)
@@ -18,7 +19,7 @@ NO_MASKS = np.empty((0, 4), np.int64)
 def blobs_of(
     image: NDArray[np.uint8], largest: float = 12.0, masks: NDArray[np.int64] = NO_MASKS, estimator: str = "edge-model"
 ) -> Blobs:
-    return find_blobs(image, largest, masks, estimator, Scratch(*image.shape))
+    return find_blobs(image, largest, masks, estimator, Scratch.of(*image.shape))
 
 
 def fates_near(blobs: Blobs, x: float, y: float, within: float = 3.0) -> list[str]:

@@ -144,6 +144,75 @@ def test_locate_writes_what_the_design_says(film: Path, tmp_path: Path) -> None:
     assert robot["orientation"][3] >= 0
 
 
+def test_locate_says_who_was_found_and_on_a_pipe_nothing_before_the_end(film: Path, tmp_path: Path) -> None:
+    done = asterism("locate", film / "rig.yaml", film / "frames", "-o", tmp_path / "poses.jsonl")
+    assert done.returncode == 0, done.stderr
+    lines = done.stderr.splitlines()
+    assert lines[0] == f"asterism: {FRAMES} frames"
+    assert lines[1] == f"asterism: alpha    {FRAMES} TRACKED"
+    assert len(lines) == 6
+    for part in ("rig.yaml", "camera.yaml"):
+        (tmp_path / part).write_text((film / part).read_text().replace("range: [0.9, 1.6]", "range: [2.5, 4.0]"))
+    done = asterism("locate", tmp_path / "rig.yaml", film / "frames", "-o", tmp_path / "none.jsonl")
+    assert f"alpha    {FRAMES} LOST: its constellation is not among the spots" in done.stderr
+    assert "but the rig's range is 2.5 to 4 m: change `range`" in done.stderr.splitlines()[-1]
+
+
+def test_locate_stopped_by_ctrl_c_says_what_it_left_and_is_not_in_its_own_way(film: Path, tmp_path: Path) -> None:
+    out, many = tmp_path / "poses.jsonl", tmp_path / "frames"
+    many.mkdir()
+    for number in range(3000):
+        (many / f"{number:05d}.png").symlink_to(film / "frames" / f"{number % FRAMES:05d}.png")
+    part = tmp_path / "poses.jsonl.partial"
+    with running("locate", film / "rig.yaml", many, "-o", out) as locating:
+        end = time.monotonic() + 60
+        while not (part.exists() and part.stat().st_size):
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        locating.send_signal(signal.SIGINT)
+        _, told = locating.communicate(timeout=60)
+    lines = part.read_text().splitlines()
+    assert (locating.returncode, out.exists()) == (130, False)
+    assert 0 < len(lines) < 3000
+    assert all(json.loads(line)["robots"] for line in lines)
+    assert f"asterism: {len(lines)} frames of 3000" in told
+    assert f"asterism: interrupted; what was done so far is in {part}" in told
+    assert asterism("locate", film / "rig.yaml", film / "frames", "-o", out).returncode == 0
+
+
+def test_serve_stopped_by_ctrl_c_says_what_it_left(film: Path, tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with (
+        PoseClient(endpoint) as robots,
+        running("serve", film / "rig.yaml", "sim", "--listen", endpoint, "--record", tmp_path) as server,
+    ):
+        assert robots["alpha"].wait(60.0) is not None
+        server.send_signal(signal.SIGINT)
+        _, told = server.communicate(timeout=60)
+    assert server.returncode == 0
+    folder = next(tmp_path.glob("demo-*"))
+    frames = Recording(folder).count_frames()
+    assert f"asterism: stopped after {frames} frames, 0 dropped" in told
+    assert f"asterism: alpha    {frames} TRACKED" in told
+    assert f"asterism: recorded in {folder}" in told
+    assert f" -m asterism review {folder}" in told
+
+
+def test_watch_follows_a_replay_as_lines_of_json(served: tuple[list[dict[str, Any]], Path]) -> None:
+    endpoint = free_endpoint()
+    with (
+        running("replay", served[1], "--loop", "--listen", endpoint) as replaying,
+        running("watch", "alpha", "alhpa", "--prefix", "replay/", "--json", "--connect", endpoint) as watching,
+    ):
+        assert f"watch --prefix replay/ --connect {endpoint}" in wait_for_line(replaying, "watch it in another")
+        assert watching.stdout is not None
+        told = json.loads(watching.stdout.readline())
+        assert "no rig here has a robot 'alhpa'; did you mean 'alpha'?" in wait_for_line(watching, "no rig")
+        watching.send_signal(signal.SIGINT)
+        assert watching.wait(timeout=30) == 0
+    assert (told["camera"], [robot["id"] for robot in told["robots"]]) == ("demo", ["alpha"])
+
+
 def test_a_pose_client_follows_a_running_server(film: Path) -> None:
     endpoint = free_endpoint()
     with PoseClient(endpoint) as robots, running("serve", film / "rig.yaml", "sim", "--listen", endpoint) as server:
@@ -241,7 +310,7 @@ def test_review_writes_a_rerun_recording(served: tuple[list[dict[str, Any]], Pat
 def test_the_demo_runs_and_says_where_to_look(tmp_path: Path) -> None:
     done = asterism("demo", "--seconds", "3", "--record", tmp_path / "rec", "--listen", free_endpoint())
     assert done.returncode == 0, done.stderr
-    for words in ("asterism watch", "asterism replay", "asterism review", "alpha"):
+    for words in ("asterism watch", "asterism replay", "asterism review", "watch --prefix replay/", "TRACKED", "alpha"):
         assert words in done.stdout
     recording = Recording(next((tmp_path / "rec").glob("demo-*")))
     assert recording.count_frames() > 30

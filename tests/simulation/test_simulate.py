@@ -26,7 +26,7 @@ def test_a_disc_equals_its_points_counted_one_by_one(rng: np.random.Generator, t
     tilt = np.radians(tilt_deg)
     normal = np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
     light = np.zeros((64, 64))
-    x0, y0, width, height = trace_disc(lens_of(camera), centre, normal, radius, psf, *quadrature(3.2, psf), light)
+    x0, y0, width, height = trace_disc(lens_of(camera), centre, normal, radius, psf, quadrature(3.2, psf), light)
     across, n = np.array([np.cos(tilt), 0.0, np.sin(tilt)]), 1_000_000
     r, angle = radius * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
     points = centre + (r * np.cos(angle))[:, None] * across + (r * np.sin(angle))[:, None] * np.cross(normal, across)
@@ -44,7 +44,7 @@ def test_a_disc_equals_its_points_counted_one_by_one(rng: np.random.Generator, t
     # The plateau of a disc much larger than its blur is 1.
     big = np.zeros((255, 255))
     trace_disc(
-        lens_of(camera), np.array([0.0, 0.0, 1.1]), np.array([0.0, 0.0, -1.0]), 0.02, psf, *quadrature(26.0, psf), big
+        lens_of(camera), np.array([0.0, 0.0, 1.1]), np.array([0.0, 0.0, -1.0]), 0.02, psf, quadrature(26.0, psf), big
     )
     assert big.max() == pytest.approx(1.0, abs=0.01)
 
@@ -54,7 +54,7 @@ def test_a_disc_is_equally_bright_all_over() -> None:
     lens = lens_of(replace(make_camera(), distortion=np.zeros(5)))
     light, tilt = np.zeros((255, 255)), np.radians(55)
     normal = np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
-    x0, y0, _, _ = trace_disc(lens, np.array([0.0, 0.0, 0.4]), normal, 0.02, 0.8, *quadrature(80.0, 0.8), light)
+    x0, y0, _, _ = trace_disc(lens, np.array([0.0, 0.0, 0.4]), normal, 0.02, 0.8, quadrature(80.0, 0.8), light)
     middle = np.rint(lens[2:4]).astype(int) - [x0, y0]
     row = light[middle[1], middle[0] - 30 : middle[0] + 31]
     np.testing.assert_allclose(row, row[30], rtol=0.005)

@@ -1,7 +1,7 @@
 """Bundle adjustment: a robot's six LED positions and its pose in every view, fitted together to the labelled centres.
 
-Two of the unknowns no film can tell, and they are fixed by convention: where the robot's frame lies (the best rigid fit
-to the positions given at the start stays) and the scale (one measured distance between two LEDs).
+Two of the unknowns no film can tell, and they are fixed by convention (`gauge`): where the robot's frame lies and the
+scale.
 
 Method: Levenberg-Marquardt on the normal equations with the poses eliminated (Schur complement; Triggs, McLauchlan,
 Hartley, Fitzgibbon: "Bundle adjustment - a modern synthesis", 2000, sections 6 and 9 for the gauge). First with
@@ -18,12 +18,17 @@ from scipy.linalg import block_diag, null_space
 from asterism.protocol.constellation import LEDS
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, exp_rotation
+from asterism.protocol.led_offset import LedOffset
+from asterism.protocol.rig import Robot
+from asterism.server.calibration.leds.gauge import Gauge, unseen_changes
 
 ITERATIONS = 60
 CONVERGED = 1e-10  # of the cost, relative
 CAUCHY = 3.0  # sigmas: the residual that the robust loss gives half its weight
 FAR_OFF = 4.5  # sigmas: centres farther off are left out of the last fit
 FEWEST_LEDS = 5  # of a view: with four there is hardly a residual left
+GAUGED = 2  # fits in the gauge's scale: the second moves next to nothing
+FACING_STEP = 1e-4  # of a cosine, for numeric derivatives
 BETTER = 0.99  # of a pose's cost: what another tilt must come down to
 MEDIAN_CHI2 = 1.386  # of two degrees of freedom
 
@@ -59,7 +64,7 @@ class Adjusted:
     """What a bundle adjustment found.
 
     ``leds`` (6, 3) m in the robot's frame, ``covariance`` (18, 18) m^2 of them row by row, scaled by
-    ``chi2_per_dof``, given frame and scale; ``views`` with the poses found and only the centres that agree;
+    ``chi2_per_dof``, given frame and scale (`gauge`); ``views`` with the poses found and only the centres that agree;
     ``left_out`` counts the others.
     """
 
@@ -79,18 +84,27 @@ class Adjusted:
 @dataclass(frozen=True, slots=True, eq=False)
 class Disc:
     """What an LED's image depends on beside its centre: the plate's unit ``normal`` (3,) in the robot's frame and the
-    ``radius``, m, of its disc; with 0 the perspective eccentricity is left out.
+    ``radius``, m, of its disc, with 0 the perspective eccentricity is left out; its own optics, if the rig has them,
+    and their unit ``axis`` (3,).
     """
 
     normal: Floats
     radius: float
+    axis: Floats
+    offset: LedOffset | None = None
+
+    @staticmethod
+    def of(robot: Robot) -> "Disc":
+        """Of a rig's robot."""
+        normal = robot.T_robot_plane.rotation[:, 2]
+        return Disc(normal, robot.led_radius or 0.0, robot.axis, robot.led_offset)
 
 
-def adjust(given: Floats, start: Floats, views: Views, distance: tuple[int, int, float], disc: Disc) -> Adjusted:
+def adjust(start: Floats, views: Views, gauge: Gauge, disc: Disc) -> Adjusted:
     """Fit positions and poses to the views.
 
-    ``given`` (6, 3) m are the positions whose frame is kept, ``start`` (6, 3) m where the fit begins; ``distance`` is
-    (i, j, m) between two LEDs. Raises InputError where hardly any view is left whose centres agree.
+    ``start`` (6, 3) m is where the fit begins; ``gauge`` what the film cannot tell. Raises InputError where hardly any
+    view is left whose centres agree.
     """
     leds = start
     leds, views = _descend(leds, views, disc, robust=True)
@@ -107,12 +121,15 @@ def adjust(given: Floats, start: Floats, views: Views, distance: tuple[int, int,
         raise InputError(
             "the robot's views do not agree with one another, expected a rigid robot, well seen, moved about"
         )
-    leds, views = _descend(leds, views, disc, robust=False)
-    leds, views = _in_gauge(leds, views, given, distance)
+    for _ in range(GAUGED):
+        # What an LED's image depends on beside its centre does not grow with the scale.
+        leds, views = _in_gauge(leds, views, gauge)
+        leds, views = _descend(leds, views, disc, robust=False)
+    leds, views = _in_gauge(leds, views, gauge)
     residuals, by_pose, by_led = linearise(leds, views, disc)
     _, reduced, _, _ = _normal_equations(residuals, by_pose, by_led, views.information)
     cost = float(np.einsum("vli,vlij,vlj", residuals, views.information, residuals))
-    free = null_space(_constraints(leds, given, distance))
+    free = null_space(gauge.constraints(leds))
     dof = 2 * int(views.seen.sum()) - 6 * len(views) - free.shape[1]
     chi2_per_dof = cost / max(dof, 1)
     covariance = free @ np.linalg.inv(free.T @ reduced @ free) @ free.T * chi2_per_dof
@@ -126,6 +143,10 @@ def linearise(leds: Floats, views: Views, disc: Disc) -> tuple[Floats, Floats, F
     The eccentricity of a disc's image is findings/algorithms.md, A: the centre of the conic that a circle projects to.
     """
     arms = np.einsum("vij,lj->vli", views.rotations, leds)
+    by_place = by_turn = np.zeros((*arms.shape, 3))
+    if disc.offset is not None:
+        shifts, by_place, by_turn = _axial_shifts(arms, views.ts, views.rotations @ disc.axis, disc.offset)
+        arms = arms + shifts
     points = arms + views.ts[:, None, :]
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
     predicted = points[..., :2] / points[..., 2:]
@@ -144,8 +165,25 @@ def linearise(leds: Floats, views: Views, disc: Disc) -> tuple[Floats, Floats, F
     turn = np.stack(
         [np.stack([zero, c, -b], axis=-1), np.stack([-c, zero, a], axis=-1), np.stack([b, -a, zero], axis=-1)], axis=-2
     )
-    by_pose = np.concatenate([by_point, by_point @ turn], axis=-1)
-    return views.rays - predicted, by_pose, by_point @ views.rotations[:, None]
+    by_place = by_point @ (np.eye(3) + by_place)
+    by_pose = np.concatenate([by_place, by_point @ (turn + by_turn)], axis=-1)
+    return views.rays - predicted, by_pose, by_place @ views.rotations[:, None]
+
+
+def _axial_shifts(arms: Floats, ts: Floats, axes: Floats, offset: LedOffset) -> tuple[Floats, Floats, Floats]:
+    """How far from LEDs at ``arms`` (v, 6, 3) + ``ts`` (v, 3) with ``axes`` (v, 3), camera's frame, their light seems
+    to come (v, 6, 3), m, and the derivatives (v, 6, 3, 3) by the LED's place and by the robot's rotation.
+    """
+    points, axes = arms + ts[:, None], np.broadcast_to(axes[:, None], arms.shape)
+    away = np.linalg.norm(points, axis=-1, keepdims=True)
+    sight = points / away
+    facing = (sight * axes).sum(axis=-1, keepdims=True)
+    ahead, behind = (offset.shift(1.0 - (facing + step) ** 2) for step in (FACING_STEP, -FACING_STEP))
+    slope = (ahead - behind) / (2.0 * FACING_STEP) * axes
+    place = (axes - facing * sight) / away  # of the cosine
+    turn = np.cross(arms, place) + np.cross(axes, sight)
+    by_place, by_turn = (slope[..., :, None] * each[..., None, :] for each in (place, turn))
+    return offset.shift(1.0 - facing**2) * axes, by_place, by_turn
 
 
 def _normal_equations(
@@ -180,7 +218,7 @@ def _descend(leds: Floats, views: Views, disc: Disc, robust: bool) -> tuple[Floa
             scale = _scale2(squared, views.seen) * CAUCHY**2
             information = information / (1.0 + squared / scale)[:, :, None, None]
         cost = _cost(squared, scale if robust else None)
-        free = null_space(_gauge(leds).T)
+        free = null_space(unseen_changes(leds).T)
         while True:
             poses, reduced, right, diagonal = _normal_equations(residuals, by_pose, by_led, information, damping)
             matrix = free.T @ (reduced + np.diag(damping * diagonal)) @ free
@@ -278,43 +316,9 @@ def _poses_alone(leds: Floats, views: Views, disc: Disc) -> Views:
     return views
 
 
-def _gauge(leds: Floats) -> Floats:
-    """Changes (18, 7) of the positions that no view can tell: shifts, turns, scale."""
-    x, y, z = leds.T
-    zero, one = np.zeros(LEDS), np.ones(LEDS)
-    columns = (
-        *((one, zero, zero), (zero, one, zero), (zero, zero, one)),
-        *((zero, -z, y), (z, zero, -x), (-y, x, zero)),
-        (x, y, z),
-    )
-    return np.column_stack([np.column_stack(column).ravel() for column in columns])
-
-
-def _constraints(leds: Floats, fixed: Floats, distance: tuple[int, int, float]) -> Floats:
-    """What holds frame and scale (7, 18): the best rigid fit to ``fixed`` stays, and so does the distance."""
-    first, second, _ = distance
-    apart = np.zeros((LEDS, 3))
-    apart[first] = (leds[first] - leds[second]) / np.linalg.norm(leds[first] - leds[second])
-    apart[second] = -apart[first]
-    return np.vstack([_gauge(fixed - fixed.mean(axis=0)).T[:6], apart.ravel()])
-
-
-def _in_gauge(leds: Floats, views: Views, fixed: Floats, distance: tuple[int, int, float]) -> tuple[Floats, Views]:
-    """The same adjustment with the distance as measured and the frame that fits ``fixed`` best."""
-    first, second, metres = distance
-    scale = metres / float(np.linalg.norm(leds[first] - leds[second]))
-    turn, shift = rigid_fit(leds * scale, fixed)
+def _in_gauge(leds: Floats, views: Views, gauge: Gauge) -> tuple[Floats, Views]:
+    """The same adjustment in the gauge's scale and frame."""
+    scale, turn, shift = gauge.placed(leds)
     rotations = views.rotations @ turn.T
     ts = views.ts * scale - rotations @ shift
     return leds * scale @ turn.T + shift, Views(views.rays, views.information, rotations, ts)
-
-
-def rigid_fit(points: Floats, fixed: Floats) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) and translation (3,) that bring ``points`` (n, 3) nearest to ``fixed`` (n, 3), least squares.
-
-    Source: Kabsch (1976).
-    """
-    a, b = points - points.mean(axis=0), fixed - fixed.mean(axis=0)
-    u, _, vt = np.linalg.svd(b.T @ a)
-    turn: Floats = u * [1.0, 1.0, np.linalg.det(u @ vt)] @ vt
-    return turn, fixed.mean(axis=0) - turn @ points.mean(axis=0)

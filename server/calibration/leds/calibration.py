@@ -9,17 +9,19 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import null_space
 
 from asterism.protocol.constellation import LEDS
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.rig import Rig, Robot
-from asterism.server.calibration.leds.bundle import FEWEST_LEDS, Adjusted, Disc, Views, adjust, rigid_fit
+from asterism.server.calibration.leds.bundle import FEWEST_LEDS, Adjusted, Disc, Views, adjust
+from asterism.server.calibration.leds.gauge import Gauge, rigid_fit, unseen_changes
 from asterism.server.calibration.leds.observations import LedCentres, observe
 from asterism.server.calibration.leds.tolerant import TolerantSearch
 from asterism.server.chain.frame import Frame
 from asterism.server.pose.lens import lens_of, undistort
-from asterism.server.pose.solve import LEAST_SIGMA_PX
+from asterism.server.pose.matched import LEAST_SIGMA_PX
 
 FEWEST_VIEWS = 12  # with all six LEDs
 LEARNED_FROM = 150  # views of the first round
@@ -44,15 +46,13 @@ class LedCalibration:
     complete: int
 
 
-def calibrate_leds(
-    rig: Rig, robot_id: str, frames: Frames, film: str, distance: tuple[int, int, float]
-) -> LedCalibration:
-    """LED positions of a robot from the film that sentences call ``film``; ``distance`` is (i, j, m) between two LEDs.
+def calibrate_leds(rig: Rig, robot_id: str, frames: Frames, film: str, gauge: Gauge) -> LedCalibration:
+    """LED positions of a robot, in the ``gauge``'s frame, from the film that sentences call ``film``.
 
     Raises InputError where the film does not determine them, with the motion that is missing.
     """
     robot = rig.robot(robot_id)
-    check_distance(robot, distance)
+    check_distance(robot, gauge.distance)
     search = TolerantSearch(rig, robot_id)
     count, seen = 0, []
     for frame in frames():
@@ -62,17 +62,17 @@ def calibrate_leds(
     _check_count(film, robot_id, len(seen), count)
     views = views_of(rig, _evenly(seen, LEARNED_FROM))
     check_motion(film, robot, views)
-    disc = Disc(robot.T_robot_plane.rotation[:, 2], robot.led_radius or 0.0)
-    learned = adjust(robot.leds, robot.leds, views, distance, disc)
+    disc = Disc.of(robot)
+    learned = adjust(robot.leds, views, gauge, disc)
     check_motion(film, robot, learned.views)
     rough = replace(rig, robots=tuple(replace(r, leds=learned.leds) if r.id == robot_id else r for r in rig.robots))
     sightings = [s for _, found in observe(frames(), rough) for s in found if s.robot == robot_id]
     seen = [(s.centres, s.pose) for s in sightings if s.centres.count >= FEWEST_LEDS]
     complete = sum(centres.count == LEDS for centres, _ in seen)
     _check_count(film, robot_id, complete, count)
-    adjusted = adjust(robot.leds, learned.leds, views_of(rig, _evenly(seen, MOST_VIEWS)), distance, disc)
+    adjusted = adjust(learned.leds, views_of(rig, _evenly(seen, MOST_VIEWS)), gauge, disc)
     check_motion(film, robot, adjusted.views)
-    check_result(film, robot, adjusted, distance)
+    check_result(film, robot, adjusted, gauge.distance)
     return LedCalibration(adjusted, count, complete)
 
 
@@ -168,6 +168,19 @@ def moved_by(leds: Floats, given: Floats) -> Floats:
     turn, shift = rigid_fit(leds, given)
     away: Floats = np.linalg.norm(leds @ turn.T + shift - given, axis=1)
     return away
+
+
+def given_sigma(leds: Floats, given: Floats) -> float:
+    """How far off the given positions seem to be, one sigma an axis, m: of 18 numbers the rigid fit takes six."""
+    return float(np.sqrt((moved_by(leds, given) ** 2).sum() / (3 * LEDS - 6)))
+
+
+def shape_sigma(adjusted: Adjusted) -> float:
+    """One sigma an axis, m, of the LEDs among one another: of the seven numbers that no film tells the covariance has
+    none, whatever holds them.
+    """
+    free = null_space(unseen_changes(adjusted.leds).T)
+    return float(np.sqrt(np.trace(free.T @ adjusted.covariance @ free) / (3 * LEDS - 7)))
 
 
 def _check_count(film: str, robot_id: str, complete: int, frames: int) -> None:

@@ -7,10 +7,12 @@ import numpy as np
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.rig import Rig
 from asterism.server.calibration.leds.observations import Sighting
+from asterism.server.pose.covariance import move_origin
 from asterism.server.pose.fit import LEDS
 from asterism.server.pose.lens import lens_of, undistort
+from asterism.server.pose.matched import Constellations, Matched, Measured
 from asterism.server.pose.planar import NO_SOLUTION
-from asterism.server.pose.solve import move_origin, solve_robots
+from asterism.server.pose.solve import Solutions, solve_robots
 from asterism.server.pose.spot_shift import optics_of
 
 
@@ -33,21 +35,17 @@ def solve_sightings(rig: Rig, sightings: Sequence[Sighting]) -> list[tuple[Pose,
     rays, covariances = np.empty((LEDS * n, 2)), np.empty((LEDS * n, 3))
     undistort(lens, pixels, flat, rays, covariances)
     starts = [s.pose @ robot.T_robot_plane for s, robot in zip(sightings, robots, strict=True)]
-    rotations, ts, costs = np.empty((n, 2, 3, 3)), np.empty((n, 2, 3)), np.empty((n, 2))
-    found, residuals = np.empty((n, 2, 6, 6)), np.empty((n, 2, LEDS, 2))
-    solve_robots(
-        layouts, assignment, rays, covariances, pixels, np.array([pose.rotation for pose in starts]),
-        np.array([pose.position for pose in starts]), lens, optics,
-        rotations, ts, costs, found, residuals,
-    )  # fmt: skip
+    rotations, ts = np.array([pose.rotation for pose in starts]), np.array([pose.position for pose in starts])
+    matched, found = Matched(np.arange(n), assignment, rotations, ts), Solutions.room(n)
+    solve_robots(lens, Constellations(layouts, optics), matched, Measured(rays, covariances, pixels), found)
     solved: list[tuple[Pose, Floats] | None] = []
     for k, robot in enumerate(robots):
-        best = int(np.argmin(costs[k]))
-        if costs[k, best] >= NO_SOLUTION:
+        best = int(np.argmin(found.costs[k]))
+        if found.costs[k, best] >= NO_SOLUTION:
             solved.append(None)
             continue
-        pose = Pose.from_matrix(rotations[k, best], ts[k, best]) @ robot.T_robot_plane.inverse()
-        covariance = found[k, best].copy()
-        move_origin(covariance, pose.position - ts[k, best])
+        pose = Pose.from_matrix(found.rotations[k, best], found.ts[k, best]) @ robot.T_robot_plane.inverse()
+        covariance = found.covariances[k, best].copy()
+        move_origin(covariance, pose.position - found.ts[k, best])
         solved.append((pose, covariance))
     return solved

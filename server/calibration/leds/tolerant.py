@@ -15,8 +15,8 @@ from asterism.server.calibration.leds.observations import LedCentres
 from asterism.server.centres.blobs import find_blobs
 from asterism.server.chain.frame import Frame
 from asterism.server.identity.cold import find
+from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan, plan_for
-from asterism.server.identity.search import Spots
 from asterism.server.pose.fit import LEDS
 from asterism.server.pose.lens import undistort
 

@@ -13,8 +13,9 @@ from asterism.protocol.messages import Fate
 from asterism.protocol.rig import ESTIMATORS
 from asterism.server.calibration.lens.layout_match import match_layout
 from asterism.server.calibration.lens.targets import Target
-from asterism.server.centres.blobs import Scratch, find_blobs
+from asterism.server.centres.blobs import find_blobs
 from asterism.server.identity.plan import LARGEST_SPOT
+from asterism.server.segmentation.segment import Scratch
 
 DICTIONARIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL")
 LEAST_SHARE = 0.25  # of a charuco board's corners
@@ -56,24 +57,40 @@ def _chessboard(image: NDArray[np.uint8], target: Target) -> Seen | None:
     size = (target.columns, target.rows)
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     found, corners = cv2.findChessboardCornersSB(image, size, flags=flags)
-    if not found or not _between_squares(image, corners.reshape(target.rows, target.columns, 2)):
+    if not found:
         return None
-    return Seen(target.points, _refined(image, corners.reshape(-1, 2))[0])
+    light = _squares(image, corners.reshape(target.rows, target.columns, 2))
+    if not _between_squares(light):
+        return None
+    pixels = _refined(image, corners.reshape(-1, 2))[0]
+    return Seen(target.points, pixels if target.symmetric or _light_first(light) else pixels[::-1])
 
 
-def _between_squares(image: NDArray[np.uint8], grid: Floats) -> bool:
-    """Whether every corner (rows, columns, 2) lies between two dark and two light squares.
+def _squares(image: NDArray[np.uint8], grid: Floats) -> Floats:
+    """How light the four squares about every corner (rows, columns, 2) are (4, rows, columns): before it along row and
+    column, behind it along both, and the two others.
+    """
+    across, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
+    places = np.array([grid + 0.5 * (a * across + b * down) for a, b in ((-1, -1), (1, 1), (-1, 1), (1, -1))])
+    smooth = cv2.blur(image, (3, 3)).astype(np.float64)
+    return np.asarray(map_coordinates(smooth, [places[..., 1], places[..., 0]], order=1, mode="nearest"), np.float64)
+
+
+def _between_squares(light: Floats) -> bool:
+    """Whether every corner lies between two dark and two light squares.
 
     Asked for one column more than there is, the detector takes the outer corners of the outermost squares for inner
     ones (OpenCV 5.0); there three of the four squares are light.
     """
-    across, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
-    squares = [grid + 0.5 * (a * across + b * down) for a, b in ((-1, -1), (1, 1), (-1, 1), (1, -1))]
-    places = np.array(squares).reshape(4, -1, 2)
-    smooth = cv2.blur(image, (3, 3)).astype(np.float64)
-    light = map_coordinates(smooth, [places[..., 1], places[..., 0]], order=1, mode="nearest")
     one, other = light[:2], light[2:]
     return bool(((one.min(axis=0) > other.max(axis=0)) | (other.min(axis=0) > one.max(axis=0))).all())
+
+
+def _light_first(light: Floats) -> bool:
+    """Whether the first corner is the one at a light corner square, as OpenCV (5.0) counts without saying so."""
+    contrast = light[:2].mean(axis=0) - light[2:].mean(axis=0)
+    rows, columns = np.indices(contrast.shape)
+    return bool((np.where((rows + columns) % 2 == 0, contrast, -contrast)).mean() > 0.0)
 
 
 def _refined(image: NDArray[np.uint8], corners: Floats) -> tuple[Floats, Floats]:
@@ -186,7 +203,7 @@ def _leds(image: NDArray[np.uint8], target: Target) -> Seen | None:
     height, width = image.shape
     blobs = find_blobs(
         np.ascontiguousarray(image), LARGEST_SPOT * float(np.hypot(width, height)), np.zeros((0, 4), np.int64),
-        ESTIMATORS[0], Scratch(height, width),
+        ESTIMATORS[0], Scratch.of(height, width),
     )  # fmt: skip
     spots = blobs.centres_px[blobs.fates == Fate.UNEXPLAINED]
     chosen = match_layout(spots, target.points[:, :2])

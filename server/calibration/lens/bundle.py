@@ -53,6 +53,20 @@ def values_of(camera: Camera) -> Floats:
     return np.concatenate([[m[0, 0], m[1, 1], m[0, 2], m[1, 2]], camera.distortion])
 
 
+def pixels_by_lens(camera: Camera, points: Floats) -> Floats:
+    """Derivatives (n, 2, p) of the pixels of points (n, 3) in the camera's frame, m, by the lens' parameters; central
+    differences.
+    """
+    values = values_of(camera)
+    by_lens = np.empty((len(points), 2, len(values)))
+    for k in range(len(values)):
+        step = np.zeros(len(values))
+        step[k] = 1e-3 if k < 4 else 1e-6
+        ahead, behind = (camera_of(camera, values + sign * step).project(points) for sign in (1.0, -1.0))
+        by_lens[:, :, k] = (ahead - behind) / (2.0 * step[k])
+    return by_lens
+
+
 def residuals_of(views: Sequence[View], state: State) -> list[Floats]:
     """Observed minus predicted of every view (n, 2), px."""
     points, pixels, which = _stacked(views)
@@ -175,17 +189,9 @@ def _derivatives(state: State, points: Floats, which: NDArray[np.int64]) -> tupl
     """Of the pixels, by the lens (n, 2, p) and by the pose of the point's view (n, 2, 6): shift, rotation about the
     camera's axes. By central differences.
     """
-    camera, values = state.camera, values_of(state.camera)
+    camera = state.camera
     in_camera = _in_camera(points, state.rotations, state.ts, which)
-    by_lens = np.empty((len(points), 2, len(values)))
-    for k in range(len(values)):
-        step = 1e-3 if k < 4 else 1e-6
-        ahead, behind = values.copy(), values.copy()
-        ahead[k] += step
-        behind[k] -= step
-        by_lens[:, :, k] = (
-            camera_of(camera, ahead).project(in_camera) - camera_of(camera, behind).project(in_camera)
-        ) / (2.0 * step)
+    by_lens = pixels_by_lens(camera, in_camera)
     arms = in_camera - state.ts[which]
     by_point = np.empty((len(points), 2, 3))
     steps = 1e-6 * np.abs(in_camera[:, 2])

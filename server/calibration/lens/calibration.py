@@ -23,18 +23,18 @@ FARTHEST_M, NEAREST_M = 30.0, 0.02
 
 
 def calibrate_camera(
-    views: Sequence[View], width: int, height: int, target: Target, model: str, say: Callable[[str], None]
+    views: Sequence[View], width: int, height: int, target: Target, model: str, doing: Callable[[str], None]
 ) -> tuple[CameraFit, dict[str, float]]:
     """The lens that the views tell of, and the held-out error, px, of every model that was tried.
 
-    ``model`` is a name or `auto`. Raises InputError for views that do not determine it.
+    ``model`` is a name or `auto`; ``doing`` is told what is worked on. Raises InputError for views that do not
+    determine it.
     """
     chosen = distinct(views)
-    if len(chosen) < len(views):
-        say(f"the target is in {len(views)} frames; the {len(chosen)} that differ most are used")
     names = list(NAMES) if model == "auto" else [model]
     fits = {}
-    for name in names:
+    for number, name in enumerate(names, 1):
+        doing(f"model {number} of {len(names)}, {name}, {len(chosen)} views")
         fit = fit_camera(chosen, width, height, name)
         if fit is not None:
             fits[name] = fit

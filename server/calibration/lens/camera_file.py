@@ -8,7 +8,8 @@ import numpy as np
 
 from asterism.protocol.camera import Camera
 from asterism.protocol.geometry import Floats
-from asterism.server.calibration.lens.fit import CameraFit
+from asterism.server.calibration.lens.bundle import values_of
+from asterism.server.calibration.lens.fit import NAMES, CameraFit
 
 
 def report_path(camera_path: Path) -> Path:
@@ -51,6 +52,7 @@ def report_text(fit: CameraFit, target: str, source: str, held_out: dict[str, fl
     """
     lines = [
         "# Made by asterism calibrate camera. Errors are RMS distances of a point, px.",
+        "made_by: calibrate camera",
         f"source: {_quoted(source)}",
         f"target: {_quoted(target)}",
         f"model: {fit.camera.model}",
@@ -59,8 +61,7 @@ def report_text(fit: CameraFit, target: str, source: str, held_out: dict[str, fl
         f"rms_px: {fit.total_rms_px:.4f}",
         f"held_out_px: {fit.total_held_out_px:.4f}",
         "held_out_px_of_models: {" + ", ".join(f"{name}: {error:.4f}" for name, error in held_out.items()) + "}",
-        "sigmas:  # one standard deviation of every parameter, px and pure numbers",
-        *(f"  {name}: {_number(sigma, 3)}" for name, sigma in fit.sigmas.items()),
+        *_lens_lines(fit.camera, fit.covariance),
         f"points_left_out: {fit.odd_points}",
         "views_left_out:" + ("" if fit.odd_views else " {}"),
         *(f"  {_quoted(name)}: {rms:.3f}" for name, rms in fit.odd_views),
@@ -75,8 +76,35 @@ def report_text(fit: CameraFit, target: str, source: str, held_out: dict[str, fl
     return "\n".join(lines) + "\n"
 
 
-def _list(values: Sequence[float] | Floats) -> str:
-    return "[" + ", ".join(_number(float(value), 12) for value in np.asarray(values, np.float64)) + "]"
+def refit_report_text(camera: Camera, covariance: Floats, source: str, views: int) -> str:
+    """What a refit of the lens knows of its own errors: ``covariance`` (p, p) of fx, fy, cx, cy and coefficients."""
+    lines = [
+        "# Made by asterism calibrate z: the lens refitted to surveyed poses.",
+        "made_by: calibrate z",
+        f"source: {_quoted(source)}",
+        f"model: {camera.model}",
+        f"views: {views}",
+        *_lens_lines(camera, covariance),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _lens_lines(camera: Camera, covariance: Floats) -> list[str]:
+    """Values, standard deviations and covariance of all parameters."""
+    names = ("fx", "fy", "cx", "cy", *NAMES[camera.model])
+    sigmas = np.sqrt(np.diag(covariance))
+    return [
+        "values:  # px and pure numbers",
+        *(f"  {name}: {_number(value, 12)}" for name, value in zip(names, values_of(camera).tolist(), strict=True)),
+        "sigmas:  # one standard deviation of every parameter",
+        *(f"  {name}: {_number(sigma, 3)}" for name, sigma in zip(names, sigmas.tolist(), strict=True)),
+        f"covariance:  # of {', '.join(names)}",
+        *(f"  - {_list(row, 7)}" for row in covariance),
+    ]
+
+
+def _list(values: Sequence[float] | Floats, digits: int = 12) -> str:
+    return "[" + ", ".join(_number(float(value), digits) for value in np.asarray(values, np.float64)) + "]"
 
 
 def _number(value: float, digits: int) -> str:

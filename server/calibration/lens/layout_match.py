@@ -24,6 +24,7 @@ LEAST_SHARE = 0.8  # of the LEDs
 FIT = 0.04  # of the spacing: RMS that the lens' distortion may leave of a homography
 MARGIN = 2.0  # times that the second-best naming must fit worse
 SYMMETRIC = 1e-3  # of the board's size
+ALMOST = 3e-3  # the same, of what a person wrote with few digits
 MOST_PERSPECTIVE = 0.5  # change of scale over the board
 
 
@@ -65,6 +66,19 @@ def match_layout(spots: Floats, layout: Floats) -> NDArray[np.int64] | None:
         if rival and other_rms < MARGIN * rms and not _is_symmetry(board, chosen, other):
             return None
     return chosen
+
+
+def looks_the_same_turned(layout: Floats) -> bool:
+    """Whether a turn maps the layout (n, 2) onto itself, but for what rounding does to it."""
+    points = (layout - layout.mean(axis=0)) @ [1.0, 1.0j]
+    points = points / np.abs(points).max()
+    tree, first = cKDTree(np.column_stack([points.real, points.imag])), points[np.argmax(np.abs(points))]
+    for angle in np.angle(points / first):
+        turned = points * np.exp(1.0j * angle)
+        away, to = (np.asarray(found) for found in tree.query(np.column_stack([turned.real, turned.imag])))
+        if abs(angle) > ALMOST and away.max() < ALMOST and len(np.unique(to)) == len(points):
+            return True
+    return False
 
 
 def _keyed(points: Floats, ordered: bool) -> tuple[NDArray[np.int64], Floats]:

@@ -8,6 +8,7 @@ import numpy as np
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats
 from asterism.protocol.yaml_file import read_yaml
+from asterism.server.calibration.lens.layout_match import looks_the_same_turned
 
 KINDS = ("chessboard", "circles", "acircles", "charuco")
 LEAST_POINTS, MOST_POINTS = 6, 2000
@@ -36,6 +37,25 @@ class Target:
     def size_m(self) -> float:
         """The largest distance between two points."""
         return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether it looks the same turned about, so that nobody can tell its ends apart."""
+        if self.kind == "charuco":
+            return False
+        if self.kind == "chessboard":
+            return (self.columns + self.rows) % 2 == 0
+        return looks_the_same_turned(self.points[:, :2])
+
+
+def refuse_symmetric(target: Target) -> None:
+    """Raise InputError for a target that looks the same turned about, where the way it lies matters."""
+    if target.symmetric:
+        raise InputError(
+            f"--target {target.name}: looks the same turned about, which leaves the world's origin and axes open; "
+            "expected a chessboard with an odd and an even number of inner corners (9x6), acircles with an odd number "
+            "of rows (4x11), charuco, or an LED board without symmetry"
+        )
 
 
 def parse_target(text: str) -> Target:

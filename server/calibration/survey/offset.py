@@ -47,7 +47,8 @@ class OffsetCalibration:
     a number of held-out poses for 0, 1, 2, ... fitted coefficients; ``constant_sigma`` m, of the constant part.
 
     ``angles`` (n,) rad, at which the robots were seen; ``before`` and ``after``: errors (n, 3) m and (n,) rad of
-    poses, the latter held out, without and with the offset; ``fit`` tells which of the n were used.
+    poses, the latter held out, by the rig as it is and with the offset; ``fit`` tells which of the n were used.
+    ``helps``: whether poses that it was not fitted to gain, so that it is worth having.
     """
 
     offset: LedOffset
@@ -59,6 +60,7 @@ class OffsetCalibration:
     before: tuple[Floats, Floats]
     after: tuple[Floats, Floats]
     fit: SurveyedFit
+    helps: bool
 
 
 def calibrate_offset(
@@ -84,7 +86,20 @@ def calibrate_offset(
     sigma = math.sqrt(full.covariance[0, 0])
     before = errors_of(pairs, rig, solve_sightings(rig, [s for s, _ in pairs]))
     after = _held_out(plain, pairs, table, folds, theory, largest, terms, full)
-    return OffsetCalibration(offset, theory, fitted, scores, sigma, angles, before, after, full)
+    rms = [float(np.sqrt(np.nanmean(away[full.used] ** 2))) for away, _ in (before, after)]
+    helps = rms[1] < rms[0] and _helps(rig, pairs, full, scores[1][terms])
+    return OffsetCalibration(offset, theory, fitted, scores[0], sigma, angles, before, after, full, helps)
+
+
+def _helps(rig: Rig, pairs: Pairs, full: SurveyedFit, held_out: Floats) -> bool:
+    """Whether the squared residuals (n,) of poses that the offset was not fitted to are less than by the rig as it is,
+    by more than one standard error.
+    """
+    table = table_of(pairs, rig)[full.used]
+    here = table.layouts, table.optics, table.rotations, table.ts
+    residuals = table.centres.reshape(len(table), -1) - table.spots(rig.camera, *here)
+    gain = chi2_of(table, residuals, by_pose(table, rig.camera, *here), full.sigmas) - held_out
+    return float(gain.sum()) > float(gain.std()) * math.sqrt(len(gain))
 
 
 def check_angles(film: str, angles: Floats) -> None:
@@ -173,8 +188,10 @@ def _model(rig: Rig, theory: Floats, largest: float) -> Model:
 
 def _terms(
     rig: Rig, table: Table, folds: NDArray[np.int64], theory: Floats, largest: float, sigmas: Floats
-) -> tuple[int, Floats]:
-    """How many coefficients to fit, and the scores of 0, 1, 2, ..."""
+) -> tuple[int, tuple[Floats, Floats]]:
+    """How many coefficients to fit, and of 0, 1, 2, ... the scores and every held-out pose's squared residuals
+    (MOST_FITTED + 1, n).
+    """
     model = _model(rig, theory, largest)
     squared = np.zeros((MOST_FITTED + 1, len(table)))
     for terms in range(MOST_FITTED + 1):
@@ -189,8 +206,9 @@ def _terms(
     for terms in range(best + 1):
         worse = squared[terms] - squared[best]
         if worse.sum() <= worse.std() * math.sqrt(len(worse)):
-            return terms, totals / (2.0 * table.seen.sum())
-    return best, totals / (2.0 * table.seen.sum())
+            best = terms
+            break
+    return best, (totals / (2.0 * table.seen.sum()), squared)
 
 
 def _held_out(

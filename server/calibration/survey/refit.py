@@ -42,7 +42,8 @@ class Refit:
 
     ``better``: whether held-out poses gain, so that the refit is worth having. ``before`` and ``after``: errors (n, 3)
     m and (n,) rad, camera's axes, of poses by the rig as it was and, held out, by the refit. ``lens_sigmas`` and
-    ``lens_priors``: one sigma of f, cx, cy px and the coefficients, after and before.
+    ``lens_priors``: one sigma of f, cx, cy px and the coefficients, after and before; ``lens_covariance`` (p, p) of fx,
+    fy, cx, cy and the coefficients; ``led_sigmas``: by robot, of an LED's coordinate, m.
     """
 
     rig: Rig
@@ -52,6 +53,8 @@ class Refit:
     after: tuple[Floats, Floats]
     lens_sigmas: Floats
     lens_priors: Floats
+    lens_covariance: Floats
+    led_sigmas: dict[str, float]
 
 
 def refit(rig: Rig, pairs: Pairs) -> Refit:
@@ -76,11 +79,16 @@ def refit(rig: Rig, pairs: Pairs) -> Refit:
     worth = float(gain.sum()) > float(gain.std()) * np.sqrt(len(gain))
     rms = [float(np.sqrt(np.nanmean(errors[full.used, 2] ** 2))) for errors in (before[0], away)]
     camera = rig.camera
-    lens = [
+    lens_sigmas, lens_priors = (
         np.concatenate([[sigmas[0] * camera.focal_px], sigmas[2 : layout.lens]])
         for sigmas in (np.sqrt(np.diag(full.covariance)), layout.priors)
-    ]
-    return Refit(refitted(rig, layout, full.parameters), full, worth and rms[1] < rms[0], before, (away, turned), *lens)
+    )
+    better = worth and rms[1] < rms[0]
+    new = refitted(rig, layout, full.parameters)
+    return Refit(
+        new, full, better, before, (away, turned), lens_sigmas, lens_priors,
+        layout.lens_covariance(new.camera, full.covariance), layout.led_sigmas(rig, full.covariance),
+    )  # fmt: skip
 
 
 class _Layout:
@@ -107,6 +115,20 @@ class _Layout:
         matrix[1, 1] *= np.exp(focal - 0.5 * aspect)
         matrix[:2, 2] += x, y
         return replace(camera, matrix=matrix, distortion=camera.distortion + parameters[LENS : self.lens])
+
+    def lens_covariance(self, camera: Camera, covariance: Floats) -> Floats:
+        """Covariance (lens, lens) of fx, fy, cx, cy and coefficients, of that of all parameters."""
+        fx, fy = camera.matrix[[0, 1], [0, 1]]
+        change = np.eye(self.lens)
+        change[:2, :2] = [[fx, 0.5 * fx], [fy, -0.5 * fy]]
+        told: Floats = change @ covariance[: self.lens, : self.lens] @ change.T
+        return told
+
+    def led_sigmas(self, rig: Rig, covariance: Floats) -> dict[str, float]:
+        """One sigma of an LED's coordinate, m, of every surveyed robot (RMS)."""
+        variances = np.diag(covariance)[self.lens : self.world].reshape(len(self.robots), -1).mean(axis=1)
+        ids = [rig.robots[index].id for index in self.robots.tolist()]
+        return dict(zip(ids, np.sqrt(variances).tolist(), strict=True))
 
     def leds(self, parameters: Floats) -> Floats:
         """Displacements (robots, 6, 3) m of the surveyed robots' LEDs in their planes' frames."""

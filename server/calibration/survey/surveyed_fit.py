@@ -21,7 +21,7 @@ from asterism.protocol.rig import Rig
 from asterism.server.calibration.survey.surveyed import Pairs, true_poses
 from asterism.server.pose.fit import LEDS
 from asterism.server.pose.lens import lens_of
-from asterism.server.pose.solve import LEAST_SIGMA_PX
+from asterism.server.pose.matched import LEAST_SIGMA_PX
 from asterism.server.pose.spot_shift import optics_of, spots_at
 
 NUMBERS = 2 * LEDS

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose, angle_between, exp_rotation, log_rotation, matrix_from_quat
 from asterism.protocol.rig import Rig
-from asterism.server.calibration.leds.bundle import rigid_fit
+from asterism.server.calibration.leds.gauge import rigid_fit
 from asterism.server.calibration.leds.observations import Sighting
 from asterism.server.calibration.survey.survey import SurveyedPose
 
@@ -106,6 +106,18 @@ def fit_world(pairs: Sequence[tuple[Sighting, SurveyedPose]], survey: str) -> Wo
     off = _off(table, T)
     turned = np.where(table.oriented[:, None], off[:, 3:], np.nan)
     return WorldFit(T, covariance, tuple(samples), off[:, :3], turned, held_out, used, *sigmas)
+
+
+def camera_by_samples(fit: WorldFit, changes: Floats) -> Floats:
+    """(6, p): how the fitted camera moves, m and rad about the world's axes, when the seen poses of all samples move by
+    ``changes`` (n, 6, p), m and rad about the camera's axes.
+    """
+    table = _Table.of(fit.samples)[fit.used]
+    by_pose, weighted = _weighted(table, fit.T_world_camera, (fit.survey_sigma_m, fit.survey_sigma_rad))
+    turn = np.kron(np.eye(2), fit.T_world_camera.rotation)
+    normal = (weighted @ by_pose).sum(axis=0)
+    moved: Floats = -np.linalg.solve(normal, (weighted @ turn @ changes[fit.used]).sum(axis=0))
+    return moved
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -298,6 +310,14 @@ def _normal_equations(table: _Table, T: Pose, sigmas: tuple[float, float]) -> tu
     """Every sample's share (n, 6, 6) and (n, 6) of the normal equations for the camera's shift and rotation about the
     world's axes.
     """
+    by_pose, weighted = _weighted(table, T, sigmas)
+    return weighted @ by_pose, (weighted @ _off(table, T)[..., None])[..., 0]
+
+
+def _weighted(table: _Table, T: Pose, sigmas: tuple[float, float]) -> tuple[Floats, Floats]:
+    """Derivatives (n, 6, 6) of where samples are predicted by the camera's shift and rotation about the world's axes,
+    and the same, transposed, times the inverse covariances.
+    """
     x, y, z = (table.seen @ T.rotation.T).T
     by_pose = np.tile(np.eye(6), (len(x), 1, 1))
     zero = np.zeros(len(x))
@@ -308,8 +328,7 @@ def _normal_equations(table: _Table, T: Pose, sigmas: tuple[float, float]) -> tu
     alone = np.zeros_like(spreads)
     alone[:, :3, :3] = np.linalg.inv(spreads[:, :3, :3])
     information = np.where(table.oriented[:, None, None], information, alone)
-    weighted = np.swapaxes(by_pose, 1, 2) @ information
-    return weighted @ by_pose, (weighted @ _off(table, T)[..., None])[..., 0]
+    return by_pose, np.swapaxes(by_pose, 1, 2) @ information
 
 
 def _held_out(table: _Table, used: NDArray[np.bool_], T: Pose, sigmas: tuple[float, float]) -> tuple[Floats, Floats]:

@@ -9,7 +9,8 @@ import pytest
 
 from asterism.protocol.rig import Rig, load_rig
 from asterism.server.__main__ import main
-from asterism.server.calibration.leds.bundle import rigid_fit
+from asterism.server.budget.uncertainty import read_uncertainty
+from asterism.server.calibration.leds.gauge import rigid_fit
 from asterism.server.calibration.leds.tolerant import TolerantSearch
 from asterism.server.chain.frame import Frame
 from asterism.server.simulation.simulate import Look, Scene, Truth
@@ -43,19 +44,51 @@ def test_a_film_gives_the_positions(film: tuple[Path, Rig], tmp_path: Path, caps
     found = load_rig(out)
     assert rms_m(load_rig(folder / "rig.yaml"), true) > 0.5e-3
     assert rms_m(found, true) <= 0.02e-3
-    assert "off the plane: determined" in told
+    assert "(off the plane: " in told
+    assert "frame: the best fit to the positions that stood here before, which were off by " in told
     # The frame is the old one's, comments and other numbers are as they were.
     turn, shift = rigid_fit(found.robots[0].leds, load_rig(folder / "rig.yaml").robots[0].leds)
     np.testing.assert_allclose(turn, np.eye(3), atol=1e-5)
     np.testing.assert_allclose(shift, np.zeros(3), atol=1e-7)
     new, old = out.read_text().splitlines(), (folder / "rig.yaml").read_text().splitlines()
-    assert [re.sub(r"\[.*\]", "", line) for line in new[3:]] == [re.sub(r"\[.*\]", "", line) for line in old[3:]]
+    own = [line for line in new if line.startswith("    # asterism calibrate leds: ")]
+    assert len(own) == 2
+    assert "; scale: LEDs 1 and 4 are " in own[0]
+    bare = [[re.sub(r"\[.*\]", "", line) for line in lines if line not in own] for lines in (new, old)]
+    assert bare[0][3:] == bare[1][3:]
     assert "range: [0.70, 1.8]" in new
     assert new[-1] == "    led: {radius: 2.5e-3}"
+    # What is not known exactly stands beside the rig, of this robot alone.
+    beside = read_uncertainty(out, "edge-model")
+    assert beside.file == tmp_path / "rig.uncertainty.yaml"
+    assert list(beside.robots) == ["alpha"]
+    known = beside.leds_of("alpha")
+    assert 0.3e-6 < known.position_m < 20e-6
+    assert known.size_relative == pytest.approx(0.1e-3 / float(distance(true).partition("=")[2]), rel=0.01)
+    assert known.by == "measured: calibrate leds"
+    assert beside.leds_of("bravo").by == "assumed"
     # Nothing is overwritten unasked.
     assert "exists; choose another name" in refused(
         capsys, "calibrate", *arguments, "--distance", distance(true), "-o", out
     )
+
+
+def test_two_leds_hold_the_frame_and_the_rig_says_so_once(
+    film: tuple[Path, Rig], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, true = film
+    given, out = load_rig(folder / "rig.yaml"), tmp_path / "rig.yaml"
+    arguments = [str(folder / "frames"), "--robot", "alpha", "--distance", distance(true), "--frame", "2,5"]
+    assert main(["calibrate", "leds", str(folder / "rig.yaml"), *arguments, "-o", str(out)]) == 0
+    assert "frame: LED 2 stays where it stood, LED 5 in its direction" in capsys.readouterr().out
+    found = load_rig(out)
+    np.testing.assert_allclose(found.robots[0].leds[2], given.robots[0].leds[2], atol=1e-7)
+    assert main(["calibrate", "leds", str(out), *arguments, "-o", str(out), "--force"]) == 0
+    assert out.read_text().count("# asterism calibrate leds: ") == 2
+    np.testing.assert_allclose(load_rig(out).robots[0].leds, found.robots[0].leds, atol=2e-7)
+    capsys.readouterr()
+    said = refused(capsys, "calibrate", "leds", out, *arguments[:-1], "2,2", "-o", tmp_path / "no.yaml")
+    assert "'2,2', expected I,J: two LEDs from 0 to 5" in said
 
 
 def test_a_robot_off_by_a_millimetre_is_found_where_the_chain_gives_up(rng: np.random.Generator) -> None:

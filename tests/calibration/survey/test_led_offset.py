@@ -1,6 +1,7 @@
 """The LEDs' own optics: theory against rays traced by Snell's law, the pose loop, `asterism calibrate offset`."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -108,6 +109,7 @@ def test_what_is_noise_does_not_become_function(rng: np.random.Generator) -> Non
         sin2 = np.sin(np.radians(np.arange(0.0, 50.0, 5.0))) ** 2
         assert len(found.fitted) <= 1
         assert np.abs(found.offset.shift(sin2)).max() < 0.02e-3
+        assert not found.helps
 
 
 def test_a_survey_that_is_off_itself_is_noticed_and_one_wrong_pose_left_out(rng: np.random.Generator) -> None:
@@ -122,6 +124,8 @@ def test_a_survey_that_is_off_itself_is_noticed_and_one_wrong_pose_left_out(rng:
     off[17] = sighting, replace(told, position=wrong.position, orientation=wrong.orientation)
     found = calibrate_offset(rig, off, "film", DOME_ARGUMENTS, None)
     assert np.flatnonzero(~found.fit.used).tolist() == [17]
+    assert found.helps
+    assert not calibrate_offset(with_offset(rig, found.offset), off, "film", DOME_ARGUMENTS, None).helps
     assert 0.07e-3 < found.fit.sigmas[1] < 0.14e-3
     assert np.degrees(found.offset.up_to_rad) < 62.0
     sharp = calibrate_offset(rig, pairs, "film", DOME_ARGUMENTS, None).offset
@@ -182,6 +186,29 @@ def test_the_command_makes_a_file_that_gives_the_surveyed_poses(
     assert main(arguments(film, "-o", out, "--force")) == 0
     assert "none by theory" in out.read_text()
     assert "dome, index 1.5" in (tmp_path / "led.yaml.old-1").read_text()
+    assert re.search(
+        r"poses that it was not fitted to gain: \d\.\d+ mm off an axis by the rig", capsys.readouterr().out
+    )
+
+
+def test_an_offset_that_does_not_help_is_not_written(
+    film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """LEDs without any; a led.yaml that is there stays, also with --force."""
+    rng, out = np.random.default_rng(5), tmp_path / "led.yaml"
+    poses = [facing_pose(rng, (0.7, 1.1), (tilt, tilt)) for tilt in np.linspace(1.0, 50.0, 20)]
+    write_frames(tmp_path / "frames", load_rig(film / "rig.yaml"), poses, rng)
+    write_survey(tmp_path / "truth.jsonl", "alpha", poses)
+    source = arguments(film, "-o", out, source=str(tmp_path / "frames"), truth=str(tmp_path / "truth.jsonl"))
+    assert main(source) == 0
+    told = capsys.readouterr().out
+    assert "poses that it was not fitted to do not gain: " in told
+    assert f"not written: {out}; keep the rig" in told
+    assert not out.exists()
+    out.write_text("axial_shift: [0.0]\nup_to_deg: 60\n")
+    assert main([*source, "--force"]) == 0
+    assert "led.yaml stays as it was; keep the rig" in capsys.readouterr().out
+    assert [path.name for path in tmp_path.glob("led*")] == ["led.yaml"]
 
 
 def test_simulated_frames_of_a_rig_with_an_offset_have_it(rng: np.random.Generator) -> None:

@@ -16,7 +16,10 @@ from asterism.protocol.rig import Rig, load_rig, parse_rig
 from asterism.protocol.z_correction import ZCorrection
 from asterism.server import Frame, PoseEstimate, Tracks, localize
 from asterism.server.__main__ import main
+from asterism.server.budget.uncertainty import read_uncertainty
 from asterism.server.calibration.leds.labelled import solve_sightings
+from asterism.server.calibration.lens.bundle import values_of
+from asterism.server.calibration.lens.lens_error import read_lens_error
 from asterism.server.calibration.survey.refit import refit
 from asterism.server.calibration.survey.super_plane import choose_plane, fit_plane
 from asterism.server.calibration.survey.surveyed import Pairs
@@ -200,6 +203,17 @@ def test_the_command_writes_a_rig_that_needs_no_option(
     assert "camera: new-camera.yaml   # beside this" in out.read_text()
     assert "alpha:   # the first one" in out.read_text()
     assert (tmp_path / "new-camera.yaml").read_text().startswith("# the 12 mm lens\n")
+    # How sure the refit is: of the lens beside its file, of the LEDs beside the rig.
+    new, camera = load_rig(out), tmp_path / "new-camera.yaml"
+    lens = read_lens_error(camera, new.camera)
+    assert lens is not None
+    off = values_of(new.camera) - values_of(true.camera)
+    sigmas = np.sqrt(np.diag(lens.covariance))
+    assert (np.abs(off[:4]) < 4.5 * sigmas[:4]).all()
+    beside = read_uncertainty(out, "edge-model", camera)
+    assert beside.leds_of("alpha").by == beside.origin("focal_relative") == "measured: calibrate z"
+    assert beside.focal_relative == pytest.approx(0.5 * (sigmas[0] + sigmas[1]) / 1400.0, rel=1e-3)
+    assert beside.leds_of("alpha").position_m < 0.1e-3
     assert "exists; choose another name" in refused(capsys, *arguments(film, "-o", out))
     out.unlink()
     assert "new-camera.yaml: exists" in refused(capsys, *arguments(film, "-o", out))
@@ -208,6 +222,8 @@ def test_the_command_writes_a_rig_that_needs_no_option(
     told = capsys.readouterr().out
     assert "z_correction: quadric" in told or "z_correction: plane" in told
     assert "refit" not in told
+    assert f"{out.stem}.uncertainty.yaml was of an older new.yaml: kept as" in told
+    assert not (tmp_path / "new.uncertainty.yaml").exists()
     corrected = load_rig(out)
     assert corrected.camera_text == given.camera_text
     assert z_rms(true, corrected, others) < z_rms(true, given, others) / 4

@@ -1,0 +1,126 @@
+"""What does not change while a recording is drawn: the camera and its frustum, plates, and how plots look."""
+
+import numpy as np
+import rerun as rr
+
+from asterism.protocol.geometry import Floats
+from asterism.protocol.messages import State
+from asterism.protocol.rig import Rig, Robot
+from asterism.recordings.plates import plate_outline
+
+Colour = tuple[int, int, int]
+# Okabe and Ito (2008), brightened for a dark background: told apart by the colour-blind as well.
+_COLOURS: tuple[Colour, ...] = (
+    (86, 180, 233), (230, 159, 0), (0, 190, 140), (240, 228, 66), (214, 140, 185), (235, 110, 30), (110, 140, 240),
+    (190, 190, 190),
+)  # fmt: skip
+STATE_COLOURS: dict[str, Colour] = {
+    State.Name(State.TRACKED): (46, 158, 79),
+    State.Name(State.TILT_AMBIGUOUS): (224, 176, 32),
+    State.Name(State.IDENTITY_AMBIGUOUS): (176, 80, 192),
+    State.Name(State.LOST): (208, 64, 64),
+}
+AXES = ((255, 90, 90), (90, 220, 90), (110, 155, 255))  # x, y, z; roll, pitch, yaw
+LATENCIES = {"exposure to network, ms": (230, 159, 0), "solving, ms": (86, 180, 233)}
+LED_PX = 2.5  # radius on the screen: seen from wherever one looks
+AXIS = 0.8  # of a robot's extent
+NAME_ABOVE = 1.6  # of a robot's extent, from its plate
+
+
+def robot_colours(rig: Rig) -> dict[str, Colour]:
+    """A colour for every robot, the same in image, space and plots."""
+    return {robot.id: _COLOURS[k % len(_COLOURS)] for k, robot in enumerate(rig.robots)}
+
+
+def place_scene(stream: rr.RecordingStream, rig: Rig) -> None:
+    """Log what is static: entities as drawing.py lists them."""
+    _place_camera(stream, rig)
+    for robot_id, colour in robot_colours(rig).items():
+        _place_robot(stream, rig.robot(robot_id), colour)
+        _place_plots(stream, robot_id, colour)
+    for name, colour in LATENCIES.items():
+        path = f"plots/latency/{name.partition(',')[0].replace(' ', '_')}"
+        stream.log(path, rr.SeriesLines(names=name, colors=colour), static=True)
+
+
+def working_range(rig: Rig) -> tuple[float, float]:
+    """Nearest and farthest distance at which robots are expected, m."""
+    return rig.range_m or (1.0, 1.5)
+
+
+def name_place(robot: Robot) -> Floats:
+    """Where a robot's name stands, (3,) m in its frame: above its plate."""
+    return robot.T_robot_plane.map(np.array([0.0, 0.0, NAME_ABOVE * robot.extent]))
+
+
+def _place_camera(stream: rr.RecordingStream, rig: Rig) -> None:
+    camera, in_world = rig.camera, rig.T_world_camera
+    near, far = working_range(rig)
+    if in_world is None:
+        stream.log("world", rr.ViewCoordinates.RDF, static=True)
+    else:
+        stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        stream.log("world/origin", rr.TransformAxes3D(0.1), static=True)
+        place = rr.Transform3D(translation=in_world.position, quaternion=rr.Quaternion(xyzw=in_world.orientation))
+        stream.log("world/camera", place, static=True)
+    stream.log(
+        "world/camera/image",
+        rr.Pinhole(
+            image_from_camera=camera.matrix,
+            resolution=[camera.width, camera.height],
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=far,
+            color=[255, 255, 255],
+            line_width=0.002 * near,
+        ),
+        static=True,
+    )
+    # Else the viewer draws one as long as the frustum.
+    stream.log("world/camera/image", rr.TransformAxes3D(0.1 * near), static=True)
+    name = rr.Points3D(
+        [0.0, 0.0, 0.0], radii=rr.Radius.ui_points(0.5), colors=[255, 255, 255], labels=[camera.name], show_labels=True
+    )
+    stream.log("world/camera/name", name, static=True)
+
+
+def _place_robot(stream: rr.RecordingStream, robot: Robot, colour: Colour) -> None:
+    path, outline = f"world/robots/{robot.id}", plate_outline(robot)
+    edge = np.vstack([outline, outline[:1]])
+    mast = np.stack([robot.T_robot_plane.position, name_place(robot)])
+    fan = [(0, k, k + 1) for k in range(1, len(outline) - 1)]
+    logged = {
+        path: rr.TransformAxes3D(AXIS * robot.extent),
+        f"{path}/plate": rr.Mesh3D(vertex_positions=outline, triangle_indices=fan, albedo_factor=[*colour, 190]),
+        f"{path}/outline": rr.LineStrips3D([edge, mast], colors=colour, radii=rr.Radius.ui_points([1.5, 0.7])),
+        f"{path}/leds": rr.Points3D(
+            robot.leds,
+            radii=rr.Radius.ui_points(LED_PX),
+            colors=[255, 255, 255],
+            labels=[f"LED {k}" for k in range(len(robot.leds))],
+            show_labels=False,
+        ),
+    }
+    if robot.points:
+        logged[f"{path}/points"] = rr.Points3D(
+            np.array(list(robot.points.values())),
+            radii=rr.Radius.ui_points(LED_PX),
+            colors=[200, 200, 200],
+            labels=[f"{robot.id}/{name}" for name in robot.points],
+            show_labels=False,
+        )
+    for entity, archetype in logged.items():
+        stream.log(entity, archetype, static=True)
+
+
+def _place_plots(stream: rr.RecordingStream, robot: str, colour: Colour) -> None:
+    def line(path: str, name: str, tint: Colour) -> None:
+        stream.log(path, rr.SeriesLines(names=name, colors=tint), static=True)
+
+    for name, tint in zip("xyz", AXES, strict=True):
+        line(f"plots/position/{robot}/{name}", f"{name}, m", tint)
+    for name, tint in zip(("roll", "pitch", "yaw"), AXES, strict=True):
+        line(f"plots/angles/{robot}/{name}", f"{name}, deg", tint)
+    line(f"plots/residual/{robot}", f"{robot}: rms, px", colour)
+    states = list(STATE_COLOURS)
+    looks = rr.StateConfiguration(values=states, labels=states, colors=np.array(list(STATE_COLOURS.values()), np.uint8))
+    stream.log(f"states/{robot}", looks, static=True)

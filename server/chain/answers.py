@@ -1,0 +1,131 @@
+"""What a frame has to say of every robot of the rig: a pose, or why there is none."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from asterism.protocol.geometry import Floats
+from asterism.protocol.messages import Fate
+from asterism.server.centres.blobs import Blobs, Ints
+from asterism.server.compiled import compiled
+from asterism.server.identity.identify import Matches, Rays
+from asterism.server.identity.plan import Plan
+from asterism.server.pose.choose import Choices
+from asterism.server.pose.fit import LEDS
+from asterism.server.pose.solve import Alternative, Lost, PoseEstimate, Solutions
+
+ALL_LEDS = tuple(range(LEDS))
+SURE = 100.0  # odds beyond which the other tilt is not worth telling
+LED = int(Fate.LED)  # as a plain integer for the compiled code
+
+
+class Owners(NamedTuple):
+    """Columns of the blobs: their ``fates``, and whose LEDs they are, ``robots`` and ``leds``, each (n,)."""
+
+    fates: Ints
+    robots: Ints
+    leds: Ints
+
+
+class Told(NamedTuple):
+    """What is told of m robots: ``spots`` (m, 6), rows of the blobs, -1 for LEDs not seen; ``residuals`` (m, 6, 2) px
+    of the chosen minimum, and ``rms`` (m,), their root mean square over the LEDs seen, px.
+    """
+
+    spots: Ints
+    residuals: Floats
+    rms: Floats
+
+    @staticmethod
+    def room(robots: int) -> "Told":
+        """Room for so many robots."""
+        return Told(np.empty((robots, LEDS), np.int64), np.empty((robots, LEDS, 2)), np.empty(robots))
+
+
+@compiled
+def tell_whose(robots, assignment, rows, best, residuals, owners, told):
+    """Write into the blobs' columns, `Owners`, whose LEDs they are, and fill `Told` of the robots.
+
+    ``robots`` (m,) of the rig; ``assignment`` (m, 6) places in ``rows``, which are rows of the blobs, -1 for LEDs not
+    seen; ``best`` (m,) of the two minima, -1 for none; ``residuals`` (m, 2, 6, 2) px.
+    """
+    for k in range(robots.shape[0]):
+        square, count = 0.0, 0
+        for led in range(LEDS):
+            place = assignment[k, led]
+            told.spots[k, led] = rows[place] if place >= 0 else -1
+            told.residuals[k, led] = residuals[k, best[k], led]
+            if place < 0:
+                continue
+            square += told.residuals[k, led, 0] ** 2 + told.residuals[k, led, 1] ** 2
+            count += 1
+            if best[k] >= 0:
+                row = rows[place]
+                owners.fates[row], owners.robots[row], owners.leds[row] = LED, robots[k], led
+        told.rms[k] = math.sqrt(square / max(count, 1))
+
+
+def answers_of(
+    plan: Plan, blobs: Blobs, seen: Rays, matches: Matches, solutions: Solutions, choices: Choices
+) -> dict[str, PoseEstimate | Lost]:
+    """An answer for every robot of the rig, by its id. Writes the blobs' fates."""
+    found, m = matches.found, len(matches.found.robots)
+    extrapolated = _correct_z(plan, choices)
+    # What can be done for all robots at once is; Python is slow at small arrays.
+    told = Told.room(m)
+    owners = Owners(blobs.fates, blobs.robots, blobs.leds)
+    tell_whose(found.robots, found.assignment, seen.rows, choices.best, solutions.residuals, owners, told)
+    answers: dict[int, PoseEstimate | Lost] = {}
+    columns = (found.robots, choices.best, choices.odds, told.spots, told.rms)
+    rows = zip(*(column.tolist() for column in columns), extrapolated, strict=True)
+    for k, (robot, best, odds, spots, rms, beyond) in enumerate(rows):
+        if best < 0:
+            answers[robot] = Lost("no pose that faces the camera explains its spots")
+        else:
+            answers[robot] = _estimate(k, choices, told, spots, odds, rms, beyond)
+    return {
+        robot.id: answers[index] if index in answers else _lost(matches.doubts.get(index), len(seen.rows))
+        for index, robot in enumerate(plan.rig.robots)
+    }
+
+
+def _estimate(
+    k: int, choices: Choices, told: Told, spots: list[int], odds: float, rms_px: float, extrapolated: bool
+) -> PoseEstimate:
+    """The pose of matched robot ``k``; what a list holds of it already comes as plain numbers."""
+    positions, quaternions = choices.positions[k], choices.quaternions[k]
+    lit = ALL_LEDS if -1 not in spots else tuple(led for led in ALL_LEDS if spots[led] >= 0)
+    return PoseEstimate(
+        position=positions[0],
+        orientation=quaternions[0],
+        covariance=choices.covariances[k],
+        leds=lit,
+        spots=tuple(spots) if lit is ALL_LEDS else tuple(spots[led] for led in lit),
+        residuals_px=told.residuals[k] if lit is ALL_LEDS else told.residuals[k, list(lit)],
+        rms_px=rms_px,
+        alternative=Alternative(positions[1], quaternions[1], odds) if odds < SURE else None,
+        extrapolated=extrapolated,
+    )
+
+
+def _correct_z(plan: Plan, choices: Choices) -> list[bool]:
+    """Add the rig's correction of the camera's Z to both candidates' positions, and its variance to the chosen one's
+    covariances; returns whose was extrapolated.
+    """
+    correction, positions, turn = plan.rig.z_correction, choices.positions, plan.mounts.camera_rotation
+    m = len(positions)
+    if correction is None:
+        return [False] * m
+    found = correction.at((positions.reshape(-1, 3) - plan.mounts.camera_origin) @ turn)
+    along = turn[:, 2]
+    positions += found.dz.reshape(m, 2, 1) * along
+    choices.covariances[:, :3, :3] += found.variances[::2, None, None] * np.outer(along, along)
+    extrapolated: list[bool] = found.extrapolated[::2].tolist()
+    return extrapolated
+
+
+def _lost(doubt: str | None, spots: int) -> Lost:
+    if doubt is not None:
+        return Lost(doubt, "IDENTITY_AMBIGUOUS")
+    return Lost("none of its LEDs is visible" if spots == 0 else "its constellation is not among the spots")

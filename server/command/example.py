@@ -1,0 +1,100 @@
+"""asterism example: a folder to try everything in without hardware."""
+
+import argparse
+import shlex
+from pathlib import Path
+from string import Template
+
+import numpy as np
+
+from asterism.protocol.errors import InputError, WorldError
+from asterism.protocol.geometry import Floats
+from asterism.protocol.rig import Robot
+from asterism.server.calibration.lens.camera_file import camera_text
+from asterism.server.command.number_arguments import whole
+from asterism.server.simulation.measured_rig import BOARD, TRUTH_MARK, MeasuredRig, draw_rig
+
+EXAMPLES = "asterism example try\nasterism example try2 --seed 2\n"
+
+README = Path(__file__).parent.parent / "simulation" / "example" / "README.md"
+
+
+def add_arguments(part: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    part.add_argument("out", metavar="DIR", type=Path, help="a new or empty folder")
+    part.add_argument(
+        "--seed", metavar="N", type=whole, default=0, help="another lens, robot, ruler's errors (default: 0)"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write DIR's files, say how to go on."""
+    out: Path = options.out
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out}: exists already, expected a new or empty folder")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for name, text in files_of(draw_rig(options.seed), options.seed).items():
+            (out / name).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise WorldError(f"{out}: cannot be written ({error.strerror})") from None
+    print(f"written: README.md and its rig, as it is and as you would have measured it, in {out}")
+    print(f"go on:   cd {shlex.quote(str(out))} and paste the commands of README.md, line by line")
+    return 0
+
+
+def files_of(rig: MeasuredRig, seed: int) -> dict[str, str]:
+    """The folder's files by name."""
+    first, second, metres = rig.calipers
+    return {
+        "README.md": Template(README.read_text(encoding="utf-8")).substitute(
+            seed=seed, first=first, second=second, distance=f"{metres:.5f}", mm=f"{1e3 * metres:.2f}"
+        ),
+        "true-camera.yaml": f"{TRUTH_MARK}\n{camera_text(rig.true.camera)}",
+        "true.yaml": _true_text(rig, rig.true.robots[0], world=True),
+        "true-board.yaml": _true_text(rig, rig.board, world=False),
+        "board.yaml": _board_text(),
+        "rig.yaml": _rig_text(rig),
+    }
+
+
+def _true_text(rig: MeasuredRig, robot: Robot, world: bool) -> str:
+    lines = [TRUTH_MARK, "camera: true-camera.yaml", _range(rig)]
+    place = rig.true.T_world_camera
+    if world and place is not None:
+        lines += ["world:                              # T_world_camera"]
+        lines += [f"  position: {_row(place.position, 6)}", f"  orientation: {_row(place.orientation, 9)}"]
+    return "\n".join([*lines, *_robot(robot, robot.leds, 7, "m, to a tenth of a micrometre")]) + "\n"
+
+
+def _rig_text(rig: MeasuredRig) -> str:
+    lines = [
+        "# The rig as you would write it on the first day: nothing is calibrated, LEDs were measured with a ruler.",
+        "camera: camera.yaml                 # there is none yet: asterism calibrate camera makes it",
+        _range(rig),
+    ]
+    return "\n".join([*lines, *_robot(rig.true.robots[0], rig.ruler, 4, "m, read to half a millimetre")]) + "\n"
+
+
+def _board_text() -> str:
+    rows = [f"  - [{x:.3f}, {y:.3f}, 0.0]" for x, y in BOARD]
+    return "\n".join(["# A circuit board with six LEDs, as its drawing has it, m.", "leds:", *rows]) + "\n"
+
+
+def _range(rig: MeasuredRig) -> str:
+    near, far = rig.true.range_m or (0.0, 0.0)
+    return f"range: [{near:g}, {far:g}]                   # working distances, m"
+
+
+def _robot(robot: Robot, leds: Floats, digits: int, remark: str) -> list[str]:
+    lines = ["robots:", f"  {robot.id}:", f"    leds:                           # {remark}"]
+    lines += [f"      - {_row(led, digits)}" for led in leds]
+    lines.append(f"    led: {{radius: {robot.led_radius:g}}}           # of the light that is seen, m")
+    if robot.points:
+        points = ", ".join(f"{name}: {_row(place, 3)}" for name, place in robot.points.items())
+        lines.append(f"    points: {{{points}}}")
+    return lines
+
+
+def _row(values: Floats, digits: int) -> str:
+    return "[" + ", ".join(f"{value:.{digits}f}" for value in np.asarray(values) + 0.0) + "]"

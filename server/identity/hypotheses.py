@@ -1,0 +1,68 @@
+"""Hypotheses of a search: which robot's LEDs which spots may be, with the pose that fits them."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.protocol.geometry import Floats
+from asterism.server.compiled import compiled
+from asterism.server.pose.fit import LEDS
+
+Ints = NDArray[np.int64]
+
+# Columns of a hypothesis beside its six spots (-1: not visible): robot, LEDs seen, cost in squared sigmas of
+# SYSTEMATIC_PX, median height.
+ROBOT, SEEN, COST, HEIGHT = range(4)
+
+Found = tuple[int, Ints, Floats, Floats]  # robot, spots, rotation (3, 3) and translation (3,) of T_camera_plane
+
+
+class Fits(NamedTuple):
+    """Room for hypotheses: ``spots`` (m, 6), ``values`` (m, 4), ``rotations`` (m, 3, 3), ``ts`` (m, 3) of
+    T_camera_plane; ``filled`` (1,) how many there are.
+    """
+
+    spots: Ints
+    values: Floats
+    rotations: Floats
+    ts: Floats
+    filled: Ints
+
+    @staticmethod
+    def room(most: int) -> "Fits":
+        """Room for so many."""
+        return Fits(
+            np.empty((most, LEDS), np.int64),
+            np.empty((most, 4)),
+            np.empty((most, 3, 3)),
+            np.empty((most, 3)),
+            np.zeros(1, np.int64),
+        )
+
+    def held(self) -> "Fits":
+        """Without the empty room."""
+        n = int(self.filled[0])
+        return Fits(self.spots[:n], self.values[:n], self.rotations[:n], self.ts[:n], self.filled)
+
+
+@compiled
+def keep(fits, labels, robot, count, cost, height, rotation, t):
+    """Add a hypothesis, if it is new and there is room."""
+    slot = fits.filled[0]
+    for other in range(slot):
+        if fits.values[other, ROBOT] == robot:
+            same = True
+            for led in range(LEDS):
+                same &= fits.spots[other, led] == labels[led]
+            if same:
+                return False
+    if slot == fits.spots.shape[0]:
+        return False
+    fits.spots[slot] = labels
+    fits.values[slot, ROBOT], fits.values[slot, SEEN] = robot, count
+    fits.values[slot, COST], fits.values[slot, HEIGHT] = cost, height
+    fits.rotations[slot] = rotation
+    fits.ts[slot] = t
+    fits.filled[0] = slot + 1
+    return True

@@ -1,0 +1,125 @@
+"""What residuals say beyond the spots' own noise: that all spots are a little off, or that one LED's spot is odd."""
+
+import math
+
+import numpy as np
+
+from asterism.server.compiled import compiled
+from asterism.server.pose.fit import LEDS
+from asterism.server.pose.matched import LEAST_SIGMA_PX, first, gather, lit_room
+from asterism.server.pose.planar import NO_SOLUTION, refine_pose, solve_both
+
+ITERATIONS = 12
+ODD = 10.0  # how many times worse six LEDs fit than five before the sixth is left out
+ODD_BEFORE, ODD_AREA_PX2 = 0.01, 30.0  # how often other light moves a spot, and over what area
+CLEARLY_OFF = 3.0  # times the surprising cost: if five LEDs then fit without surprise, the sixth is left out as well
+NO_SYSTEMATIC = 20.0  # odds, before a look at the residuals, that the spots' own noise is the whole story
+LEAST_SYSTEMATIC_PX = 0.002  # and from where on, in doublings, it is not: calibration, LED positions
+SYSTEMATIC_STEPS = 9
+# 99.9 % of chi squared for 2, 4 and 6 degrees of freedom: beyond it the spots' noise is not the whole story.
+_SURPRISE = np.array([0.0, 0.0, 0.0, 0.0, 13.8, 18.5, 22.5])
+
+
+@compiled
+def systematic(rotation, t, lit, focal):
+    """What residuals say of a variance, ray units, that every spot has beyond its own, and for the pose itself.
+
+    Returns the variance's posterior mean, and the pose's cost: minus twice the logarithm of how likely the residuals
+    are with every such variance there may be, chi squared where the spots' own noise explains them. Of two poses
+    neither of which fits on that noise, the better is hardly more likely than the other, however much chi squared
+    tells them apart.
+
+    Before, it is none with odds NO_SYSTEMATIC to 1, else anything from LEAST_SYSTEMATIC_PX on, evenly by its logarithm.
+    The likelihood is that of residuals with 2 n - 6 degrees of freedom. A mean, since with so few of them the most
+    likely value is often far too small, and errors weighted by it far too large.
+    """
+    points, seen, information = lit.points, lit.seen, lit.information
+    n = points.shape[0]
+    # Squared residuals over all variances, and the product of the determinants over those of the spots' own noise.
+    squares, growth = np.zeros(SYSTEMATIC_STEPS + 1), np.ones(SYSTEMATIC_STEPS + 1)
+    variances = np.zeros(SYSTEMATIC_STEPS + 1)
+    variances[1] = (LEAST_SYSTEMATIC_PX / focal) ** 2
+    for k in range(2, SYSTEMATIC_STEPS + 1):
+        variances[k] = 4.0 * variances[k - 1]
+    for i in range(n):
+        x, y, z = t[0], t[1], t[2]
+        for j in range(3):
+            x += rotation[0, j] * points[i, j]
+            y += rotation[1, j] * points[i, j]
+            z += rotation[2, j] * points[i, j]
+        e, f = seen[i, 0] - x / z, seen[i, 1] - y / z
+        per_det = information[i, 0] * information[i, 2] - information[i, 1] ** 2
+        own_xx, xy, own_yy = information[i, 2] / per_det, -information[i, 1] / per_det, information[i, 0] / per_det
+        for k in range(SYSTEMATIC_STEPS + 1):
+            xx, yy = own_xx + variances[k], own_yy + variances[k]
+            det = xx * yy - xy * xy
+            squares[k] += (yy * e * e - 2.0 * xy * e * f + xx * f * f) / det
+            growth[k] *= det * per_det
+    logs = -0.5 * (squares + (2 * n - 6) / (2.0 * n) * np.log(growth))
+    logs[0] += math.log(NO_SYSTEMATIC * SYSTEMATIC_STEPS)
+    prior = (NO_SYSTEMATIC + 1.0) * SYSTEMATIC_STEPS
+    most = logs.max()
+    weight = mean = 0.0
+    for k in range(SYSTEMATIC_STEPS + 1):
+        likely = math.exp(logs[k] - most)
+        weight += likely
+        mean += likely * variances[k]
+    return mean / weight, -2.0 * (most + math.log(weight / prior))
+
+
+@compiled
+def odd_led(layout, labels, measured, shifts, start, start_t, focal):
+    """The LED of six whose spot is not where the other five say, or -1: other light may have moved it.
+
+    The start (3, 3), (3,) is changed to the pose refined on all six, where they agree. ``shifts`` (6, 2) are those at
+    the start. Of six spots that are all a little off, some five always fit better than all; so one is odd only if that
+    is likelier than that all are off.
+    """
+    room, centre, trial = lit_room(), np.empty(3), np.empty(LEDS, np.int64)
+    rotation, t = np.empty((3, 3)), np.empty(3)
+    both, both_t, both_costs = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty(2)
+    best_led, best_cost, whole_cost = -1, NO_SOLUTION, NO_SOLUTION
+    best_unlikely = whole_unlikely = NO_SOLUTION
+    for without in range(-1, LEDS):
+        trial[:] = labels
+        if without >= 0:
+            trial[without] = -1
+        count = gather(layout, trial, measured, shifts, 0.0, focal, room, centre)
+        if without < 0 and count < LEDS:
+            return -1
+        lit = first(room, count)
+        rotation[:, :] = start
+        for i in range(3):
+            t[i] = start_t[i]
+            for j in range(3):
+                t[i] += start[i, j] * centre[j]
+        cost = refine_pose(rotation, t, lit.points, lit.seen, lit.information, 5)
+        if without < 0:
+            if cost <= _SURPRISE[LEDS]:
+                start[:, :] = rotation
+                for i in range(3):
+                    start_t[i] = t[i]
+                    for j in range(3):
+                        start_t[i] -= rotation[i, j] * centre[j]
+                return -1
+            whole_cost = cost
+        # The start may be the wrong tilt, which the odd spot made the better one.
+        solve_both(lit.points, lit.seen, lit.information, ITERATIONS, True, both, both_t, both_costs)
+        for which in range(2):
+            if both_costs[which] < cost:
+                cost = both_costs[which]
+                rotation[:, :] = both[which]
+                t[:] = both_t[which]
+        _, unlikely = systematic(rotation, t, lit, focal)
+        if without < 0:
+            whole_cost, whole_unlikely = cost, unlikely
+        elif cost < best_cost:
+            best_led, best_cost, best_unlikely = without, cost, unlikely
+    # Compared per degree of freedom: six LEDs leave six, five leave four.
+    much_worse = ODD * best_cost / 4.0 < whole_cost / 6.0
+    only_one_off = best_cost <= _SURPRISE[LEDS - 1] and whole_cost > CLEARLY_OFF * _SURPRISE[LEDS]
+    odd = measured.covariances[labels[best_led]]
+    area = 2.0 * math.pi * math.sqrt(max(odd[0] * odd[2] - odd[1] * odd[1], 0.0)) * focal * focal
+    best_unlikely -= 2.0 * math.log(ODD_BEFORE * max(area, LEAST_SIGMA_PX**2) / ODD_AREA_PX2)
+    likelier = best_unlikely < whole_unlikely
+    return best_led if likelier and (much_worse or only_one_off) else -1
