@@ -16,6 +16,7 @@ import zenoh
 from docs.programs import architecture, spots
 from docs.programs.drawing import needed
 from docs.programs.tree import rooms
+from docs.programs.way import way
 
 from asterism.protocol.rig import parse_rig
 from asterism.protocol.yaml_file import parse_yaml
@@ -219,6 +220,12 @@ def test_rooms_are_drawn_with_every_use_that_does_not_follow() -> None:
         drawn = needed(room, found)
         reached[room.name] = drawn.union(*(reached[other] for other in drawn))
         assert reached[room.name] >= room.uses
+
+
+def test_a_frames_way_leads_from_a_source_through_the_rooms_to_the_recorder() -> None:
+    passed = iter([door.room for door in way(*architecture.START)])
+    for room in ("sources", "chain", "centres", "segmentation", "identity", "pose", "chain", "service", "recordings"):
+        assert room in passed, room  # in this order: the iterator goes on where it was
 
 
 class Loaded(HTMLParser):

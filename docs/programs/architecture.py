@@ -7,10 +7,11 @@ the tree, so that the page cannot say what is not so.
 import re
 
 from docs.programs.drawing import draw_rooms, draw_steps
-from docs.programs.tree import REPOSITORY, Room, rooms, way
+from docs.programs.tree import REPOSITORY, Room, rooms
+from docs.programs.way import way
 
 DOCS = REPOSITORY / "docs"
-START = ("asterism.server.service.serve", "serve")  # where a frame's way begins
+START = ("asterism.server.service.serve", "serve")  # a function or method: where a frame's way begins
 BETWEEN = re.compile(r"(?<=<!-- rooms -->\n).*?(?=<!-- end of rooms -->)", re.DOTALL)
 
 

@@ -4,7 +4,8 @@ import textwrap
 from collections.abc import Sequence
 from html import escape
 
-from docs.programs.tree import Door, Room
+from docs.programs.tree import Room
+from docs.programs.way import Door
 
 WIDTH = 480
 BOX = 350

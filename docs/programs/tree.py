@@ -1,4 +1,4 @@
-"""What the source tree says about itself: its rooms, who uses whom, and a frame's way. Read with `ast` alone."""
+"""What the source tree says about itself: its rooms, and who uses whom. Read with `ast` alone."""
 
 import ast
 import re
@@ -9,6 +9,7 @@ from pathlib import Path
 
 REPOSITORY = Path(__file__).parent.parent.parent
 TOP = ("clients", "recordings", "protocol")  # rooms beside those of the server
+Defined = ast.FunctionDef | ast.ClassDef
 
 
 @dataclass(frozen=True)
@@ -20,22 +21,13 @@ class Room:
     uses: frozenset[str]  # names of rooms
 
 
-@dataclass(frozen=True)
-class Door:
-    """A step of a frame's way: a function of another room, or a method of something that was handed in."""
-
-    room: str
-    name: str
-    sentence: str
-
-
 @cache
 def parsed(path: Path) -> ast.Module:
     """A module's syntax tree."""
     return ast.parse(path.read_text())
 
 
-def sentence_of(node: ast.Module | ast.FunctionDef | ast.ClassDef) -> str:
+def sentence_of(node: ast.Module | Defined) -> str:
     """The first sentence of a docstring, on one line; empty without one."""
     text = " ".join((ast.get_docstring(node) or "").split("\n\n")[0].split())
     return re.split(r"[.;] ", text, maxsplit=1)[0].rstrip(".").replace("`", "")
@@ -102,66 +94,3 @@ def _in_order(uses: dict[str, set[str]]) -> list[str]:
         return 1 + max((height(other) for other in uses[room]), default=-1)
 
     return sorted(uses, key=lambda room: (-height(room), room))
-
-
-def way(module: str, function: str) -> list[Door]:
-    """The doors that a call of that function passes, in the order of the source; compiled code is not looked into."""
-    doors: list[Door] = []
-    _walk(module, function, room_of(module), set(), doors)
-    return doors
-
-
-def _walk(module: str, name: str, caller: str | None, seen: set[tuple[str, str]], doors: list[Door]) -> None:
-    node, room = _definition(module, name), room_of(module)
-    if not isinstance(node, ast.FunctionDef) or (module, name) in seen or room in (None, "protocol"):
-        return
-    seen.add((module, name))
-    if room != caller or "." in name:
-        doors.append(Door(str(room), name, sentence_of(node)))
-    if not any(isinstance(word, ast.Name) and word.id == "compiled" for word in node.decorator_list):
-        for target_module, target in _calls(module, node):
-            _walk(target_module, target, room, seen, doors)
-
-
-def _definition(module: str, name: str) -> ast.FunctionDef | ast.ClassDef | None:
-    body: list[ast.stmt] = parsed(file_of(module)).body
-    node: ast.stmt | None = None
-    for part in name.split("."):
-        node = next((n for n in body if isinstance(n, ast.FunctionDef | ast.ClassDef) and n.name == part), None)
-        if not isinstance(node, ast.FunctionDef | ast.ClassDef):
-            return None
-        body = node.body
-    return node
-
-
-def _calls(module: str, function: ast.FunctionDef) -> Iterator[tuple[str, str]]:
-    """(module, name) of every function of asterism that is called by name, or as a method of a parameter."""
-    names = {
-        alias.asname or alias.name: (str(node.module), alias.name)
-        for node in ast.walk(parsed(file_of(module)))
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("asterism.")
-        for alias in node.names
-    }
-    kinds = {
-        argument.arg: word.id
-        for argument in function.args.args
-        if argument.annotation is not None
-        for word in ast.walk(argument.annotation)
-        if isinstance(word, ast.Name)
-    }
-    for call in _in_source_order(function):
-        match call.func:
-            case ast.Name(id=name):
-                yield names.get(name, (module, name))
-            case ast.Attribute(value=ast.Name(id=name), attr=method) if kinds.get(name) in names:
-                owner, kind = names[kinds[name]]
-                yield owner, f"{kind}.{method}"
-
-
-def _in_source_order(node: ast.AST) -> Iterator[ast.Call]:
-    """Calls as they happen: arguments before the call, nested functions not at all."""
-    for child in ast.iter_child_nodes(node):
-        if not isinstance(child, ast.FunctionDef):
-            yield from _in_source_order(child)
-    if isinstance(node, ast.Call):
-        yield node
