@@ -166,7 +166,7 @@ def test_four_leds_are_looked_up_in_any_perspective_and_their_mirror_image_is_no
                 tried += 1
                 missed += [robot, *[leds[k] for k in order]] not in found
             mirrored = looked_up(flat * [-1.0, 1.0], leds)
-            assert [robot, *[leds[k] for k in order]] not in mirrored
+            assert [robot, *[leds[k] for k in room.order]] not in mirrored
     assert tried > 700
     assert missed <= 0.01 * tried
 
