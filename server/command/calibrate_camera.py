@@ -56,7 +56,8 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Find the target, fit, write the calibration with report and plots, say how good it is."""
-    for path in (options.out, *_beside(options.out)):
+    check_file(options.out, options.force)
+    for path in _beside(options.out):
         check_file(path, options.force)
     if options.source == "sim":
         raise InputError("sim: shows no calibration target; expected images, a film, a recording or a camera")

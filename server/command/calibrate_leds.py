@@ -43,7 +43,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 def _distance(text: str) -> tuple[int, int, float]:
     pair, _, metres = text.partition("=")
     leds = pair.split(",")
-    if len(leds) != 2 or not all(led.isdigit() and int(led) < 6 for led in leds) or leds[0] == leds[1] or not metres:
+    if len(leds) != 2 or not all(led in tuple("012345") for led in leds) or leds[0] == leds[1] or not metres:
         raise argparse.ArgumentTypeError(
             f"{text!r}, expected I,J=METRES: two LEDs from 0 to 5, and what is between them"
         )

@@ -48,7 +48,9 @@ def run(options: argparse.Namespace) -> int:
     command = "calibrate world"
     refuse_endless(options.source, command)
     rig = load_rig(options.rig)
-    T_world_camera, covariance = _from_target(options, rig) if options.target else _from_survey(options, rig)
+    T_world_camera, covariance = (
+        _from_target(options, rig) if options.target is not None else _from_survey(options, rig)
+    )
     position, orientation = T_world_camera.position.round(7) + 0.0, T_world_camera.orientation.round(9) + 0.0
     sigmas = np.sqrt(np.diag(covariance))
     print(

@@ -49,7 +49,8 @@ def parse_target(text: str) -> Target:
         pitch = float(pitch_text)
     except ValueError:
         pitch = 0.0
-    if kind not in KINDS or not columns_text.isdigit() or not rows_text.isdigit() or not pitch > 0.0:
+    whole = all(text.isdecimal() and len(text) < 9 for text in (columns_text, rows_text))
+    if kind not in KINDS or not whole or not pitch > 0.0:
         raise InputError(f"--target {text}: {EXPECTED}")
     columns, rows = int(columns_text), int(rows_text)
     least = 3 if kind == "chessboard" else 2
