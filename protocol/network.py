@@ -5,6 +5,7 @@ The server is a peer that listens; robots and desks are clients of it, or of any
 
 import json
 import re
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 PROTOCOLS = ("tcp", "udp", "tls", "quic", "ws", "unixsock-stream")  # that zenoh's Python package speaks
 _HOST_AND_PORT = PROTOCOLS[:5]
 _PICTURE = re.compile(r"--> (\d+):\d+\n.*= (expected .*)", re.DOTALL)  # of what its JSON5 parser did not understand
+_DEEPEST = 100  # levels of a configuration; zenoh's own has six
 
 # With the default of 2 a publisher loses messages when the processor is busy; 16 lost none (measured).
 _TX_QUEUE = 16
@@ -66,7 +68,10 @@ def _base(options: Path | None) -> "zenoh.Config":
         config = zenoh.Config()
     else:
         try:
-            config = zenoh.Config.from_json5(options.read_text(encoding="utf-8"))
+            text = options.read_text(encoding="utf-8")
+            if _depth(text) > _DEEPEST:  # its parser would end the process
+                raise InputError(f"{options}: is nested too deeply, expected a zenoh configuration in JSON5")
+            config = zenoh.Config.from_json5(text)
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"{options}: cannot be read as a zenoh configuration ({error})") from None
         except zenoh.ZError as error:
@@ -76,6 +81,11 @@ def _base(options: Path | None) -> "zenoh.Config":
     for priority in ("real_time", "interactive_high", "interactive_low", "data_high", "data"):
         _default(config, f"transport/link/tx/queue/size/{priority}", _TX_QUEUE)
     return config
+
+
+def _depth(text: str) -> int:
+    """How deep the brackets of a JSON text go."""
+    return max(accumulate(text, lambda depth, char: depth + (char in "[{") - (char in "]}"), initial=0))
 
 
 def _default(config: "zenoh.Config", key: str, value: object) -> None:
