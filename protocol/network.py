@@ -4,6 +4,8 @@ The server is a peer that listens; robots and desks are clients of it, or of any
 """
 
 import json
+import re
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +15,11 @@ if TYPE_CHECKING:
     import zenoh
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+
+PROTOCOLS = ("tcp", "udp", "tls", "quic", "ws", "unixsock-stream")  # that zenoh's Python package speaks
+_HOST_AND_PORT = PROTOCOLS[:5]
+_PICTURE = re.compile(r"--> (\d+):\d+\n.*= (expected .*)", re.DOTALL)  # of what its JSON5 parser did not understand
+_DEEPEST = 100  # levels of a configuration; zenoh's own has six
 
 # With the default of 2 a publisher loses messages when the processor is busy; 16 lost none (measured).
 _TX_QUEUE = 16
@@ -61,7 +68,10 @@ def _base(options: Path | None) -> "zenoh.Config":
         config = zenoh.Config()
     else:
         try:
-            config = zenoh.Config.from_json5(options.read_text(encoding="utf-8"))
+            text = options.read_text(encoding="utf-8")
+            if _depth(text) > _DEEPEST:  # its parser would end the process
+                raise InputError(f"{options}: is nested too deeply, expected a zenoh configuration in JSON5")
+            config = zenoh.Config.from_json5(text)
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"{options}: cannot be read as a zenoh configuration ({error})") from None
         except zenoh.ZError as error:
@@ -71,6 +81,11 @@ def _base(options: Path | None) -> "zenoh.Config":
     for priority in ("real_time", "interactive_high", "interactive_low", "data_high", "data"):
         _default(config, f"transport/link/tx/queue/size/{priority}", _TX_QUEUE)
     return config
+
+
+def _depth(text: str) -> int:
+    """How deep the brackets of a JSON text go."""
+    return max(accumulate(text, lambda depth, char: depth + (char in "[{") - (char in "]}"), initial=0))
 
 
 def _default(config: "zenoh.Config", key: str, value: object) -> None:
@@ -86,8 +101,11 @@ def _set(config: "zenoh.Config", key: str, value: object) -> None:
 
 
 def _short(error: Exception) -> str:
-    """A zenoh error without the places in its sources."""
-    return str(error).split(" at /")[0].strip()
+    """A zenoh error in one line: without the places in its sources, without the picture of a file's line."""
+    text = str(error).split(" at /")[0]
+    if place := _PICTURE.search(text):
+        return f"line {place[1]}: {' '.join(place[2].split())}"
+    return " ".join(text.split())
 
 
 def open_server(listen: str | None = None, connect: str | None = None, options: Path | None = None) -> "zenoh.Session":
@@ -121,7 +139,9 @@ def check_endpoint(endpoint: str) -> None:
     protocol, slash, address = endpoint.partition("/")
     if not (protocol.isascii() and protocol.replace("-", "").isalnum() and slash and address):
         raise InputError(f"endpoint {endpoint!r}: expected PROTOCOL/ADDRESS such as tcp/127.0.0.1:7447")
-    if protocol in {"tcp", "udp", "tls", "quic", "ws"}:
+    if protocol not in PROTOCOLS:
+        raise InputError(f"endpoint {endpoint!r}: protocol {protocol!r}, expected one of {', '.join(PROTOCOLS)}")
+    if protocol in _HOST_AND_PORT:
         host, colon, port = address.split("?")[0].split("#")[0].rpartition(":")
-        if not (host and colon and port.isdigit() and int(port) < 65_536):
+        if not (host and colon and port.isdecimal() and len(port) <= 5 and int(port) < 65_536):
             raise InputError(f"endpoint {endpoint!r}: expected {protocol}/HOST:PORT such as tcp/127.0.0.1:7447")

@@ -47,6 +47,8 @@ def parse_yaml(text: str, name: str) -> "Section":
         raise InputError(f"{name}: line {_line(error)}: is no YAML: {problem}") from None
     except YAMLError as error:
         raise InputError(f"{name}: is no YAML: {' '.join(str(error).split())}") from None
+    except RecursionError:
+        raise InputError(f"{name}: is nested too deeply, expected a YAML mapping of a few levels") from None
     if values is None:
         raise InputError(f"{name}: is empty, expected a YAML mapping")
     return Section(values, name, "")

@@ -1,6 +1,7 @@
 """The command line: `asterism COMMAND ...`. Only what a command needs is imported, so `--help` is there at once."""
 
 import argparse
+import errno
 import logging
 import shlex
 import sys
@@ -14,6 +15,9 @@ from asterism.server.command.parser import module_of, parser
 from asterism.server.output import NOTHING
 from asterism.server.service.say import complain, say
 from asterism.server.service.telling import Telling, telling
+
+# Of a file that was named: nothing is wrong with the world.
+NAMED_WRONGLY = (errno.ENOENT, errno.EISDIR, errno.ENOTDIR, errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES)
 
 _LOG = logging.getLogger(__name__)
 
@@ -37,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if isinstance(error, KeyboardInterrupt) and not notes and options.out and not options.out.exists():
                 notes = [NOTHING]
             if text:
-                complain("; ".join([text, *notes]))
+                complain(" ".join("; ".join([text, *notes]).split("\n")))
             return code
 
 
@@ -71,7 +75,7 @@ def _failure(error: BaseException, words: list[str]) -> tuple[int, str]:
             return 1, "there is not enough memory for this"
         case OSError():
             name = f"{error.filename}: " if error.filename else ""
-            return 1, f"{name}{error.strerror or error}"
+            return 2 if error.filename and error.errno in NAMED_WRONGLY else 1, f"{name}{error.strerror or error}"
     raise error
 
 

@@ -55,10 +55,7 @@ def check_file(path: Path, force: bool) -> None:
 
 def check_folder(path: Path, force: bool) -> None:
     """Refuse a folder that cannot or must not be filled; raises as `check_file` does. An empty one is welcome."""
-    mode = _mode(path)
-    if mode is not None and not stat.S_ISDIR(mode):
-        raise InputError(f"{path}: is a file, expected a new or empty folder")
-    if mode is None:
+    if _folder_mode(path) is None:
         _check_around(path)
     elif not _holds_something(path):
         _try_to_write(path, path)
@@ -75,10 +72,7 @@ def check_folder(path: Path, force: bool) -> None:
 
 def check_folder_of_many(path: Path) -> None:
     """Refuse a folder in which new ones cannot be made, as recordings are; raises as `check_file` does."""
-    mode = _mode(path)
-    if mode is not None and not stat.S_ISDIR(mode):
-        raise InputError(f"{path}: is a file, expected a new or empty folder")
-    if mode is None:
+    if _folder_mode(path) is None:
         _check_around(path)
     else:
         _try_to_write(path, path)
@@ -198,6 +192,15 @@ def _mode(path: Path) -> int | None:
         return None
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def _folder_mode(path: Path) -> int | None:
+    mode = _mode(path)
+    if str(path) == "-":
+        raise InputError("-: is the terminal, expected the name of a folder")
+    if mode is not None and not stat.S_ISDIR(mode):
+        raise InputError(f"{path}: is a file, expected a new or empty folder")
+    return mode
 
 
 def _holds_something(folder: Path) -> bool:

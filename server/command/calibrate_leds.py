@@ -72,7 +72,7 @@ def _two_leds(text: str) -> tuple[int, int]:
 def _distance(text: str) -> tuple[int, int, float]:
     pair, _, metres = text.partition("=")
     leds = pair.split(",")
-    if len(leds) != 2 or not all(led.isdigit() and int(led) < 6 for led in leds) or leds[0] == leds[1] or not metres:
+    if len(leds) != 2 or not all(led in tuple("012345") for led in leds) or leds[0] == leds[1] or not metres:
         raise argparse.ArgumentTypeError(
             f"{text!r}, expected I,J=METRES: two LEDs from 0 to 5, and what is between them"
         )

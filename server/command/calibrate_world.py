@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
     camera_path = Path(options.rig).parent / parse_yaml(rig.rig_text, options.rig).text("camera")
     uncertainty = read_uncertainty(Path(options.rig), rig.centre, camera_path)
     lens = lens_error_of(rig.camera, camera_path, uncertainty)
-    place = _from_target if options.target else _from_survey
+    place = _from_target if options.target is not None else _from_survey
     T_world_camera, covariance, of_lens = place(options, rig, lens.covariance)
     position, orientation = T_world_camera.position.round(7) + 0.0, T_world_camera.orientation.round(9) + 0.0
     sigmas = np.sqrt(np.diag(covariance))

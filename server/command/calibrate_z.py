@@ -54,8 +54,8 @@ def run(options: argparse.Namespace) -> int:
     """Refit, choose the super-plane, print what held-out poses gain, write the rig and its camera."""
     if options.no_refit and options.no_plane:
         raise InputError("--no-refit and --no-plane: leave nothing to do, expected one of them at most")
-    camera_out = options.out.with_name(f"{options.out.stem}-camera.yaml")
     check_result_file(options.out, options.force)
+    camera_out = options.out.with_name(f"{options.out.stem}-camera.yaml")
     if not options.no_refit:
         check_result_file(camera_out, options.force)
         check_result_file(report_path(camera_out), options.force)

@@ -4,6 +4,8 @@ import argparse
 import math
 from collections.abc import Callable
 
+from asterism.protocol.yaml_file import describe
+
 MOST_DIGITS = 15
 
 
@@ -20,9 +22,9 @@ def number(text: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected a number") from None
+        raise argparse.ArgumentTypeError(f"{describe(text)}, expected a number") from None
     if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r}, expected a finite number")
+        raise argparse.ArgumentTypeError(f"{describe(text)}, expected a finite number")
     return value
 
 
@@ -47,7 +49,7 @@ def _digits(text: str) -> int | None:
     if not (text.isascii() and text.isdigit()):
         return None
     if len(text) > MOST_DIGITS:
-        raise argparse.ArgumentTypeError(f"{text[:20]}..., expected a number of at most {MOST_DIGITS} digits")
+        raise argparse.ArgumentTypeError(f"{describe(text)}, expected a number of at most {MOST_DIGITS} digits")
     return int(text)
 
 

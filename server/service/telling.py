@@ -11,6 +11,7 @@ from asterism.protocol.errors import InputError
 from asterism.server.service.say import SAID
 
 LOGGER = logging.getLogger("asterism")
+WARNINGS = logging.getLogger("py.warnings")
 _TRACE = logging.Formatter()
 
 
@@ -19,6 +20,8 @@ class _Terminal(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """One line: what is said as it is, what is logged with its logger's name."""
+        if record.name == WARNINGS.name and self.level > logging.DEBUG:
+            return  # libraries' warnings to programmers
         text = record.getMessage()
         if record.name != SAID:
             text = f"{record.name.removeprefix('asterism.')}: {text}"
@@ -67,12 +70,14 @@ class Telling:
                 self._file = _File(log)
             except OSError as error:
                 raise InputError(f"--log {log}: cannot be written ({error.strerror})") from None
-            LOGGER.addHandler(self._file)
+            for logger in (LOGGER, WARNINGS):
+                logger.addHandler(self._file)
 
     def close(self) -> None:
         """Let go of the log."""
         if self._file is not None:
-            LOGGER.removeHandler(self._file)
+            for logger in (LOGGER, WARNINGS):
+                logger.removeHandler(self._file)
             self._file.close()
 
 
@@ -81,9 +86,13 @@ def telling() -> Iterator[Telling]:
     """For one command: say on the terminal, until `Telling.choose` says otherwise."""
     told = Telling()
     told.choose(quiet=False, verbose=False, log=None)
-    LOGGER.addHandler(_TERMINAL)
+    logging.captureWarnings(True)
+    for logger in (LOGGER, WARNINGS):
+        logger.addHandler(_TERMINAL)
     try:
         yield told
     finally:
         told.close()
-        LOGGER.removeHandler(_TERMINAL)
+        for logger in (LOGGER, WARNINGS):
+            logger.removeHandler(_TERMINAL)
+        logging.captureWarnings(False)

@@ -20,7 +20,7 @@ class UnreadableImage(Exception):
 def natural_key(path: Path) -> list[tuple[int, int | str]]:
     """Sort key by which frame2 comes before frame10."""
     parts = re.split(r"(\d+)", path.name)
-    return [(0, int(part)) if part.isdigit() else (1, part) for part in parts]
+    return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts]
 
 
 def read_image(path: Path, bits: int | None) -> NDArray[np.uint8]:

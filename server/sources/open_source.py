@@ -24,9 +24,9 @@ def open_source(text: str, rig: Rig | None, say: Say, seed: int = 0) -> Source:
     """
     if text == "sim" and rig is not None:
         return Simulated(rig, seed)
-    if text.isdigit() or text.startswith("/dev/video"):
+    if _is_camera(text):
         number = text.removeprefix("/dev/video")
-        if not number.isdigit():
+        if not number.isdecimal() or len(number) > 4:
             raise InputError(f"{text}: expected a V4L2 camera such as 0 or /dev/video0")
         expected = Expected(rig)
         return Camera(f"/dev/video{number}", lambda: open_v4l2(int(number), expected.capture, expected.size), rig, say)
@@ -50,9 +50,13 @@ def open_source(text: str, rig: Rig | None, say: Say, seed: int = 0) -> Source:
     )
 
 
+def _is_camera(text: str) -> bool:
+    return text.isdecimal() or text.startswith("/dev/video")
+
+
 def refuse_endless(text: str, command: str) -> None:
     """Raise InputError for a source that never ends; ``command`` is what cannot use it."""
-    if text == "sim" or text.isdigit() or text.startswith("/dev/video"):
+    if text == "sim" or _is_camera(text):
         raise InputError(
             f"{text}: has no end; {command} takes a folder or glob of images, a video or a recording "
             f"({typed('simulate')} makes images)"

@@ -186,3 +186,70 @@ def test_compare_tells_and_its_exit_code_says_whether_it_is_the_same(tmp_path: P
     other = asterism("compare", a, record(tmp_path / "c", made[:1]).folder)
     assert other.returncode == 1
     assert "1 only in A" in other.stdout
+
+
+def nonsense(folder: Path) -> list[Path]:
+    """Files and names that no command can read."""
+    contents: dict[str, bytes] = {
+        "empty": b"",
+        "binary": bytes(range(256)) * 8,
+        "latin.yaml": b"camera: c\xe4mera.yaml\nrobots: {}\n",
+        "deep.yaml": b"a: " + b"[" * 5000,
+        "deep.json": b"[" * 100_000,
+        "zero.yaml": b"camera: a\0b\n",
+        "list.yaml": b"- 1\n",
+        "huge.yaml": b"camera: camera.yaml\nrange: [" + b"9" * 400 + b", 2]\nrobots: {}\n",
+        "long.yaml": b"camera: " + b"x" * 400 + b"\nrobots: {}\n",
+    }
+    for name, data in contents.items():
+        (folder / name).write_bytes(data)
+    (folder / "folder").mkdir()
+    names = ["none", "folder", *contents, "x" * 300, "empty/x", "\udcff\udcfe"]
+    return [folder / name for name in names]
+
+
+def test_files_that_are_none_get_one_sentence_in_every_command(
+    capsys: pytest.CaptureFixture[str], frames: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "w").mkdir()
+    out = tmp_path / "out"
+    for file in nonsense(tmp_path / "w"):
+        for arguments in (
+            ("check", file),
+            ("locate", file, frames, "-o", out),
+            ("locate", DEMO_RIG, file, "-o", out),
+            ("simulate", file, out),
+            ("report", file, "-o", out),
+            ("report", DEMO_RIG, "--truth", file, frames, "-o", out),
+            ("serve", DEMO_RIG, frames, "--zenoh", file),
+            ("replay", file),
+            ("review", file, "-o", tmp_path / "out.rrd"),
+            ("compare", file, file),
+            ("recover", file),
+            ("calibrate", "camera", file, "--target", "chessboard:9x6:0.02", "-o", out),
+            ("calibrate", "camera", frames, "--target", f"leds:{file}", "-o", out),
+            ("calibrate", "leds", file, frames, "--robot", "alpha", "--distance", "0,1=0.1", "-o", out),
+            ("calibrate", "world", DEMO_RIG, frames, "--truth", file, "-o", out),
+        ):
+            refused(capsys, *arguments)
+        assert not out.exists()
+
+
+def test_numbers_that_are_none_get_one_sentence(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    for text in ("", "nan", "-inf", "-1", "²", "abc", "1,2", "9" * 9000, "0x10"):
+        for option in ("--frames", "--rate", "--seed", "--hide", "--glints"):
+            assert "expected a" in refused(capsys, "simulate", "none", out, f"{option}={text}")
+        for arguments in (
+            ("serve", DEMO_RIG, tmp_path, f"--record-frames={text}"),
+            ("design", f"--robots={text}", "-o", out),
+            ("replay", "none", f"--speed={text}"),
+            ("compare", "none", "none", f"--position={text}"),
+            ("calibrate", "camera", tmp_path, "--target", f"chessboard:{text}x6:0.02", "-o", out),
+            ("calibrate", "leds", DEMO_RIG, tmp_path, "--robot", "alpha", "--distance", f"0,1={text}", "-o", out),
+            ("calibrate", "offset", DEMO_RIG, tmp_path, "--truth", "none", "--window", f"1.5,{text}", "-o", out),
+            ("serve", DEMO_RIG, tmp_path, "--listen", f"tcp/127.0.0.1:{text}"),
+        ):
+            refused(capsys, *arguments)
+    for camera in ("²", "9" * 30, "/dev/videoX"):
+        refused(capsys, "serve", DEMO_RIG, camera)

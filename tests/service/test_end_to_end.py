@@ -106,7 +106,7 @@ def test_the_recorded_frames_solved_again_give_the_same_poses(
 def test_smoothed_poses_are_another_thing_and_say_so(film: Path, tmp_path: Path) -> None:
     told = []
     for options in ((), ("--smooth",)):
-        out = tmp_path / "poses.jsonl"
+        out = tmp_path / f"poses{len(told)}.jsonl"
         assert asterism("locate", film / "rig.yaml", film / "frames", "-o", out, *options).returncode == 0
         told.append([json.loads(line) for line in out.read_text().splitlines()])
     for plain, smoothed in zip(*told, strict=True):

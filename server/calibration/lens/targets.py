@@ -77,8 +77,9 @@ def parse_board(text: str, argument: str = "", also: str = "") -> Target:
         pitch = float(pitch_text)
     except ValueError:
         pitch = 0.0
-    counts = columns_text + rows_text
-    if kind not in KINDS or not (columns_text and rows_text and counts.isascii() and counts.isdigit()) or not pitch > 0:
+    counts = (columns_text, rows_text)
+    whole = all(count.isascii() and count.isdigit() and len(count) < 9 for count in counts)
+    if kind not in KINDS or not whole or not pitch > 0.0:
         raise InputError(f"{argument}{text}: {EXPECTED}{also}")
     columns, rows = int(columns_text), int(rows_text)
     least = 3 if kind == "chessboard" else 2

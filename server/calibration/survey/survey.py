@@ -90,7 +90,7 @@ def read_survey(path: Path, robots: Collection[str], orientations: bool = True) 
 def _frame(line: str, where: str, number: int, robots: Collection[str], orientations: bool) -> SurveyedFrame:
     try:
         values = msgspec.json.decode(line)
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, RecursionError) as error:
         raise InputError(
             f"{where}: is no JSON ({error}), expected one JSON object a line as asterism locate writes them"
         ) from None
