@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from asterism.protocol.led_offset import parse_offset
+from asterism.protocol.program import typed
 from asterism.protocol.rig import load_rig
 from asterism.server.calibration.leds.observations import observe
 from asterism.server.calibration.result_file import check_result_file, write_result_file
@@ -82,7 +83,8 @@ def run(options: argparse.Namespace) -> int:
     parse_offset(text, str(options.out))
     if rig.z_correction is not None:
         say(
-            f"warning: the z_correction of {options.rig} was fitted without this offset; run asterism calibrate z again"
+            f"warning: the z_correction of {options.rig} was fitted without this offset; run "
+            f"{typed('calibrate', 'z')} again"
         )
     kept = write_result_file(options.out, text, options.force)
     print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else ""))

@@ -7,6 +7,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from asterism.server.service.telling import shows_progress
+
 REFRESH_HZ = 4.0
 LOCATED = ("TRACKED", "TILT_AMBIGUOUS")
 
@@ -47,6 +49,7 @@ class LiveLine:
 
     def __init__(self, now: Callable[[], Now], console: Console | None = None) -> None:
         self._now = now
+        self._shown = shows_progress() if console is None else console.is_terminal
         self._console = console or Console(stderr=True)
         self._live: Live | None = None
 
@@ -59,7 +62,7 @@ class LiveLine:
         return line
 
     def __enter__(self) -> "LiveLine":
-        if self._console.is_terminal:
+        if self._shown:
             self._live = Live(
                 get_renderable=self.draw, console=self._console, refresh_per_second=REFRESH_HZ, transient=True
             )
