@@ -2,16 +2,19 @@
 
 import argparse
 import shlex
+import sys
 from pathlib import Path
 from string import Template
 
 import numpy as np
 
-from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.geometry import Floats
+from asterism.protocol.program import NAME, program
 from asterism.protocol.rig import Robot
 from asterism.server.calibration.lens.camera_file import camera_text
 from asterism.server.command.number_arguments import whole
+from asterism.server.command.shared_arguments import add_force, named
+from asterism.server.output import new_folder
 from asterism.server.simulation.measured_rig import BOARD, TRUTH_MARK, MeasuredRig, draw_rig
 
 EXAMPLES = "asterism example try\nasterism example try2 --seed 2\n"
@@ -21,25 +24,26 @@ README = Path(__file__).parent.parent / "simulation" / "example" / "README.md"
 
 def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    part.add_argument("out", metavar="DIR", type=Path, help="a new or empty folder")
+    part.add_argument("out", metavar="DIR", type=named, help="a new or empty folder")
     part.add_argument(
         "--seed", metavar="N", type=whole, default=0, help="another lens, robot, ruler's errors (default: 0)"
     )
+    add_force(part)
 
 
 def run(options: argparse.Namespace) -> int:
     """Write DIR's files, say how to go on."""
     out: Path = options.out
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: exists already, expected a new or empty folder")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
+    with new_folder(out, options.force) as made:
         for name, text in files_of(draw_rig(options.seed), options.seed).items():
-            (out / name).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise WorldError(f"{out}: cannot be written ({error.strerror})") from None
-    print(f"written: README.md and its rig, as it is and as you would have measured it, in {out}")
-    print(f"go on:   cd {shlex.quote(str(out))} and paste the commands of README.md, line by line")
+            (made.path / name).write_text(text, encoding="utf-8")
+    print(f"written: README.md and its rig, as it is and as you would have measured it, in {out}{made.note}")
+    if program() != NAME:
+        # README.md says `asterism`, and a relative path would not lead there from inside the folder.
+        print(f"go on:   export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH")
+        print(f"then:    cd {shlex.quote(str(out))} and paste the commands of README.md, line by line")
+    else:
+        print(f"go on:   cd {shlex.quote(str(out))} and paste the commands of README.md, line by line")
     return 0
 
 

@@ -1,6 +1,7 @@
 """`asterism example`: a folder whose README.md can be followed, the truth beside what was measured of it."""
 
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from asterism.server.calibration.result_file import holds_truth
 from asterism.server.command.parser import parser
 from tests.command.pasting import commands_of, paste
 from tests.command.test_command_line import refused
+from tests.servers import asterism
 
 FEWER = {"60": "24", "150": "40", "20": "6"}  # frames
 
@@ -83,12 +85,25 @@ def test_it_writes_into_an_empty_folder_only(folder: Path, capsys: pytest.Captur
     before = contents(folder)
     assert "exists already, expected a new or empty folder" in refused(capsys, "example", folder)
     assert contents(folder) == before
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "mine").write_text("")
+    assert main(["example", str(full), "--force"]) == 0
+    assert contents(full).keys() == before.keys()
+    assert [path.name for path in (tmp_path / "full.old-1").iterdir()] == ["mine"]
     (tmp_path / "file").write_text("")
     assert "expected a new or empty folder" in refused(capsys, "example", tmp_path / "file")
     assert "--seed: '-1', expected a whole number" in refused(capsys, "example", tmp_path / "new", "--seed", "-1")
     assert not (tmp_path / "new").exists()
     (tmp_path / "empty").mkdir()
     assert main(["example", str(tmp_path / "empty")]) == 0
+
+
+def test_it_says_how_to_go_on_with_this_very_program(tmp_path: Path) -> None:
+    """README.md says `asterism`; started by a path it is said how that name is found."""
+    told = asterism("example", tmp_path / "my try").stdout
+    assert f"export PATH={Path(sys.executable).parent}:$PATH" in told
+    assert f"cd '{tmp_path / 'my try'}' and paste" in told
 
 
 def test_nothing_measured_replaces_its_truth(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from asterism.protocol.rig import load_rig
+from asterism.protocol.yaml_file import parse_yaml
 from asterism.server.budget.budget import Light
 from asterism.server.budget.truth import Compared, compare, light_of
 from asterism.server.budget.uncertainty import read_uncertainty
@@ -71,7 +72,8 @@ def _one(seed: int, films: bool, folder: Path) -> np.ndarray:
 def _judged(rig_path: Path) -> Compared:
     """What `asterism report` compares."""
     rig, folder = load_rig(rig_path), rig_path.parent
-    uncertainty = read_uncertainty(rig_path, rig.centre, folder / "camera.yaml")
+    camera = folder / parse_yaml(rig.rig_text, str(rig_path)).text("camera")
+    uncertainty = read_uncertainty(rig_path, rig.centre, camera)
     source = open_source(str(folder / CHECK / "frames"), rig, print)
     seen = [(frame.name, sightings) for frame, sightings in observe(source.frames(), rig)]
     survey = read_survey(folder / CHECK / "truth.jsonl", [robot.id for robot in rig.robots])
