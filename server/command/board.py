@@ -1,11 +1,14 @@
 """asterism board: a calibration board to print."""
 
 import argparse
-from pathlib import Path
 
 from asterism.protocol.errors import InputError
+from asterism.protocol.program import typed
+from asterism.server.calibration.lens.printed_board import printed_board
 from asterism.server.calibration.lens.targets import parse_board
-from asterism.server.calibration.result_file import check_result_file, write_result_file
+from asterism.server.command.shared_arguments import add_out
+from asterism.server.design.page import pdf
+from asterism.server.output import check_file, new_file
 
 EXAMPLES = (
     "asterism board chessboard:9x6:0.025 -o board.pdf\n"
@@ -21,23 +24,18 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
         metavar="KIND:COLSxROWS:PITCH",
         help="KIND chessboard (COLS and ROWS count inner corners), circles, acircles or charuco (squares); PITCH in m",
     )
-    part.add_argument("-o", "--out", metavar="board.pdf", type=Path, required=True, help="what is written")
-    part.add_argument("--force", action="store_true", help="replace board.pdf; the old one is kept beside it")
+    add_out(part, "board.pdf", "what is written")
 
 
 def run(options: argparse.Namespace) -> int:
     """Write the PDF, say on what paper it goes and what to do with it."""
-    check_result_file(options.out, options.force)
     if options.out.suffix != ".pdf":
         raise InputError(f"{options.out}: expected a file name ending in .pdf")
-    target = parse_board(options.board)
-    from asterism.server.calibration.lens.printed_board import printed_board
-    from asterism.server.design.page import pdf
-
-    page = printed_board(target)
-    kept = write_result_file(options.out, pdf(page).decode("ascii"), options.force)
-    aside = f"; the old one is kept as {kept}" if kept else ""
-    print(f"written: {options.out}, {page.width:g} x {page.height:g} mm{aside}")
+    check_file(options.out, options.force)
+    page = printed_board(parse_board(options.board))
+    with new_file(options.out, options.force) as output:
+        output.path.write_bytes(pdf(page))
+    print(f"written: {options.out}, {page.width:g} x {page.height:g} mm{output.note}")
     print("print it at 100 %, check its bar with a ruler, glue it to something flat; then:")
-    print(f"asterism calibrate camera SOURCE --target {options.board} -o camera.yaml")
+    print(typed("calibrate", "camera", "SOURCE", "--target", options.board, "-o", "camera.yaml"))
     return 0

@@ -42,7 +42,7 @@ def printed_board(target: Target) -> Page:
 def _refuse_unfit(target: Target) -> None:
     if target.pitch < LEAST_PITCH:
         raise InputError(f"{target.name}: {target.pitch * 1e3:g} mm, expected a PITCH of {LEAST_PITCH:g} m or more")
-    if target.kind == "acircles" and target.rows % 2 == 0:
+    if target.kind == "acircles" and target.symmetric:
         raise InputError(
             f"{target.name}: {target.rows} rows, expected an odd number: with an even one the board looks the same "
             "turned by half, and its dots are taken for one another"
@@ -61,11 +61,6 @@ def _sheet(target: Target, width: float, height: float, *, on_its_side: bool) ->
         f"{target.name}: {width:.0f} x {height:.0f} mm with bar and margins, expected what fits on {paper}, "
         f"{short:g} x {long:g} mm"
     )
-
-
-def looks_the_same_turned(target: Target) -> bool:
-    """Whether the board looks the same turned by half, so that its two ends cannot be told apart."""
-    return target.kind == "circles" or (target.kind == "chessboard" and (target.columns + target.rows) % 2 == 0)
 
 
 def _box(target: Target) -> Box:
@@ -118,7 +113,7 @@ def _words(target: Target, paper: str) -> list[Mark]:
     }[target.kind]
     world = (
         "looks the same turned by half: for calibrate camera, not for calibrate world"
-        if looks_the_same_turned(target)
+        if target.symmetric
         else "for calibrate world: the origin is the upper left point as you read this, x to the right, y up"
     )
     lines = [

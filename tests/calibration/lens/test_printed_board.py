@@ -12,7 +12,7 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats
 from asterism.server.__main__ import main
 from asterism.server.calibration.lens.board_points import DICTIONARIES, find_points
-from asterism.server.calibration.lens.printed_board import DICTIONARY, looks_the_same_turned, printed_board
+from asterism.server.calibration.lens.printed_board import DICTIONARY, printed_board
 from asterism.server.calibration.lens.targets import parse_board, parse_target
 from asterism.server.design.page import Words, pdf
 
@@ -87,7 +87,7 @@ def test_a_printed_board_is_found_and_true_to_a_thousandth(text: str) -> None:
     image = scanned(pdf(printed_board(parse_board(text))))
     upright = px_by_mm(image, text)
     turned = px_by_mm(np.ascontiguousarray(np.rot90(image, 2)), text)
-    if looks_the_same_turned(parse_board(text)):
+    if parse_board(text).symmetric:
         upright, turned = np.abs(upright), -np.abs(turned)
     # x to the right and y down from the upper left point, as the sheet says.
     np.testing.assert_allclose(upright, 4.0 * np.eye(2), atol=4.0 * 1e-3)
@@ -172,7 +172,7 @@ def test_the_command_writes_what_is_there_and_replaces_nothing_unasked(
     assert out.read_bytes() == pdf(printed_board(parse_board("charuco:8x6:0.028")))
     told = capsys.readouterr().out
     assert "297 x 210 mm" in told
-    assert "asterism calibrate camera SOURCE --target charuco:8x6:0.028 -o camera.yaml" in told
+    assert "calibrate camera SOURCE --target charuco:8x6:0.028 -o camera.yaml" in told
     assert main(command) == 2
     assert "--force" in capsys.readouterr().err
     assert main([*command, "--force"]) == 0
