@@ -245,7 +245,7 @@ def _robot(name: str, section: Section, T_world_camera: Pose | None, offset_text
             if radius > extent(leds) / 4:
                 raise led.error(
                     "radius",
-                    f"{radius:g}, expected m, at most a quarter of the LEDs' extent ({extent(leds) / 4:g} m); is that "
+                    f"{radius:g}, expected m, at most a quarter of the LEDs' extent ({extent(leds) / 4:.3g} m); is that "
                     f"mm? For example {radius / 1e3:g}",
                 )
         if "offset" in led:

@@ -21,11 +21,12 @@ from asterism.server.calibration.lens.coverage import COLUMNS, ROWS, empty_parts
 from asterism.server.calibration.lens.fit import CameraFit, ends_inside
 from asterism.server.calibration.lens.plots import coverage_png, residuals_png
 from asterism.server.calibration.lens.targets import Target, parse_target
+from asterism.server.calibration.result_file import check_result_file
 from asterism.server.chain.frame import Frame
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.calibrate import TARGET, add_source_and_out
 from asterism.server.command.progress import progress, working
-from asterism.server.output import check_file, new_file
+from asterism.server.output import new_file
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source
 from asterism.server.sources.source import Source
@@ -57,7 +58,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Find the target, fit, write the calibration with report and plots, say how good it is."""
     for path in (options.out, *_beside(options.out)):
-        check_file(path, options.force)
+        check_result_file(path, options.force)
     if options.source == "sim":
         raise InputError("sim: shows no calibration target; expected images, a film, a recording or a camera")
     name = options.out.stem

@@ -8,10 +8,9 @@ import math
 import numpy as np
 
 from asterism.protocol.geometry import Floats
-from asterism.server.design.page import Circle, Line, Page, Words, columns_width
+from asterism.server.design.page import Circle, Line, Mark, Page, Words, columns_width
+from asterism.server.design.paper import BAR, PAPER, scale_bar
 
-PAPER = (("A4", 210.0, 297.0), ("A3", 297.0, 420.0), ("A2", 420.0, 594.0), ("A1", 594.0, 841.0), ("A0", 841.0, 1189.0))
-BAR = 100.0  # mm
 _MARGIN = 15.0  # mm: no printer prints nearer to the edge than a third of it
 _ABOVE = 40.0  # mm for the title
 _BELOW = 75.0  # mm for bar and coordinates
@@ -31,7 +30,7 @@ def drill_plan(name: str, layout: Floats, disc: float, led_radius: float) -> Pag
         if size <= min(width - 2 * _MARGIN, height - _ABOVE - _BELOW)
     )
     x, y = width / 2, (height - _ABOVE + _BELOW) / 2
-    marks: list[Line | Circle | Words] = [
+    marks: list[Mark] = [
         Words(_MARGIN, height - 20, name, 7.0),
         Words(
             _MARGIN,
@@ -43,10 +42,11 @@ def drill_plan(name: str, layout: Floats, disc: float, led_radius: float) -> Pag
     marks += _plate(x, y, size / 2)
     for number in range(len(layout)):
         marks += _hole(layout * 1e3, number, led_radius * 1e3, x, y, size / 2)
-    return Page(width, height, f"asterism drill plan {name}", (*marks, *_bar(), *_table(layout)))
+    bar = scale_bar(_MARGIN, 62.0, f"{BAR:g} mm: measure it before you drill")
+    return Page(width, height, f"asterism drill plan {name}", (*marks, *bar, *_table(layout)))
 
 
-def _plate(x: float, y: float, radius: float) -> list[Line | Circle | Words]:
+def _plate(x: float, y: float, radius: float) -> list[Mark]:
     """Outline, centre, and the axes: x ends in an arrow, y in a short line."""
     tip, wing = x + radius + 8, 2.0
     return [
@@ -61,7 +61,7 @@ def _plate(x: float, y: float, radius: float) -> list[Line | Circle | Words]:
     ]
 
 
-def _hole(holes: Floats, number: int, radius: float, x: float, y: float, plate: float) -> list[Line | Circle | Words]:
+def _hole(holes: Floats, number: int, radius: float, x: float, y: float, plate: float) -> list[Mark]:
     """One of the ``holes`` (n, 2), from the centre (x, y) of a plate of radius ``plate``, with its number in that of
     four corners which is clearest of other holes, axes and rim.
     """
@@ -82,21 +82,12 @@ def _hole(holes: Floats, number: int, radius: float, x: float, y: float, plate: 
     ]
 
 
-def _bar() -> list[Line | Circle | Words]:
-    y = 62.0
-    marks: list[Line | Circle | Words] = [Line(_MARGIN, y, _MARGIN + BAR, y, 0.2)]
-    for tick in range(int(BAR) // 10 + 1):
-        long = 4.0 if tick % 10 == 0 else 2.0
-        marks.append(Line(_MARGIN + 10 * tick, y, _MARGIN + 10 * tick, y + long, 0.2))
-    return [*marks, Words(_MARGIN + BAR + 3, y, f"{BAR:g} mm: measure it before you drill")]
-
-
-def _table(layout: Floats) -> list[Line | Circle | Words]:
+def _table(layout: Floats) -> list[Mark]:
     size, step = 3.4, 5.0
     rows = [f"{'LED':>3}{'x mm':>10}{'y mm':>10}"]
     rows += [f"{number:>3}{x:>10.2f}{y:>10.2f}" for number, (x, y) in enumerate((layout * 1e3 + 0.0).tolist())]
     top = 52.0
-    marks: list[Line | Circle | Words] = [
+    marks: list[Mark] = [
         Words(_MARGIN, top - step * number, row, size, columns=True) for number, row in enumerate(rows)
     ]
     end = _MARGIN + columns_width(rows[0], size)

@@ -34,6 +34,22 @@ class Circle:
 
 
 @dataclass(frozen=True, slots=True)
+class Disc:
+    """All black, mm."""
+
+    x: float
+    y: float
+    radius: float
+
+
+@dataclass(frozen=True, slots=True)
+class Rectangles:
+    """One black area, so that no seams show between neighbours: x, y of the lower left corners, widths, heights, mm."""
+
+    each: tuple[tuple[float, float, float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Words:
     """One line of plain ASCII text that begins at x on the base line y, mm; ``columns``: in Courier."""
 
@@ -47,6 +63,9 @@ class Words:
         assert self.text.isascii(), f"{self.text!r}: both writers are for ASCII"
 
 
+Mark = Line | Circle | Disc | Rectangles | Words
+
+
 @dataclass(frozen=True, slots=True)
 class Page:
     """What is on it; width and height in mm."""
@@ -54,7 +73,7 @@ class Page:
     width: float
     height: float
     title: str
-    marks: tuple[Line | Circle | Words, ...]
+    marks: tuple[Mark, ...]
 
 
 def columns_width(text: str, size: float) -> float:
@@ -81,6 +100,15 @@ def svg(page: Page) -> str:
         elif isinstance(mark, Circle):
             x, y, r = _number(mark.x), _number(page.height - mark.y), _number(mark.radius)
             lines.append(f'<circle cx="{x}" cy="{y}" r="{r}" stroke-width="{_number(mark.width)}"/>')
+        elif isinstance(mark, Disc):
+            x, y, r = _number(mark.x), _number(page.height - mark.y), _number(mark.radius)
+            lines.append(f'<circle cx="{x}" cy="{y}" r="{r}" fill="black" stroke="none"/>')
+        elif isinstance(mark, Rectangles):
+            path = " ".join(
+                f"M{_numbers(x, page.height - y)} h{_number(w)} v{_number(-h)} h{_number(-w)} z"
+                for x, y, w, h in mark.each
+            )
+            lines.append(f'<path d="{path}" fill="black" stroke="none"/>')
         else:
             family = "Courier, 'Courier New', monospace" if mark.columns else "Helvetica, Arial, sans-serif"
             words.append(
@@ -99,6 +127,10 @@ def pdf(page: Page) -> bytes:
             drawn.append(f"{_numbers(mark.width)} w {_numbers(mark.x0, mark.y0)} m {_numbers(mark.x1, mark.y1)} l S")
         elif isinstance(mark, Circle):
             drawn.append(f"{_numbers(mark.width)} w {_circle(mark.x, mark.y, mark.radius)} S")
+        elif isinstance(mark, Disc):
+            drawn.append(f"{_circle(mark.x, mark.y, mark.radius)} f")
+        elif isinstance(mark, Rectangles):
+            drawn.append(" ".join(f"{_numbers(*rectangle)} re" for rectangle in mark.each) + " f")
         else:
             text = mark.text.replace("\\", r"\\").replace("(", r"\(").replace(")", r"\)")
             face = "F2" if mark.columns else "F1"

@@ -55,8 +55,8 @@ def advice(seen: Seen, wider: Sequence[Wider], range_m: tuple[float, float]) -> 
         found = f"only {kept:.1f} spots a frame look" if kept >= 0.05 else "no spot looks"
         return f"{found} like LEDs, a robot needs {LEAST_LEDS}: are its LEDs on, in view, turned to the camera?"
     return (
-        f"{kept:.0f} spots a frame look like LEDs, but no robot of this rig fits them: is it another rig, is an LED "
-        "dead or not where the rig has it, is it the camera of camera.yaml?"
+        f"{kept:.0f} spots a frame look like LEDs, but no robot of this rig fits them: are its robots in view, is it "
+        "another rig, is an LED dead or not where the rig has it, is it the camera of camera.yaml?"
     )
 
 

@@ -9,6 +9,7 @@ from asterism.recordings.recorder import Recorder
 
 SHORT_S = 600.0  # of room left: a warning
 ENOUGH_S = 1200.0  # with so much again the next shortage is a new one
+ENDED = "recording ended"
 
 
 class Disk:
@@ -28,7 +29,9 @@ class Disk:
     def look(self) -> None:
         """Take the pace; say it where it is due."""
         if self._recorder.problem:
-            self.text = "not recording"
+            if self.text != ENDED:
+                self.text = ENDED
+                self._say(self._recorder.problem)
             return
         pace = self._growth.pace(self._clock(), self._recorder.bytes_written, self._recorder.bytes_free())
         if pace is None:

@@ -122,6 +122,8 @@ class Run:
         told += f"{health.tally.frames} frames, {health.frames_dropped} dropped, {health.frames_unreadable} unreadable"
         if recorder is not None:
             told += f", {recorder.frames_left_out} not recorded"
+            if recorder.messages_left_out:
+                told += f" (nor {recorder.messages_left_out} messages)"
         return [told, *self._adviser.summary()]
 
     def ending(self) -> dict[str, str]:

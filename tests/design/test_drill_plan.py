@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from asterism.protocol.geometry import Floats
-from asterism.server.design.drill_plan import BAR, LARGEST_DISC, PAPER, drill_plan
+from asterism.server.design.drill_plan import LARGEST_DISC, drill_plan
 from asterism.server.design.page import Circle, Line, Page, Words, pdf, svg
+from asterism.server.design.paper import BAR, PAPER
 from tests.rigs import random_layout
 
 SVG = "{http://www.w3.org/2000/svg}"

@@ -102,8 +102,8 @@ def test_the_rate_is_said_once_and_a_full_disk_ahead_of_time() -> None:
     run(5)
     assert len(said) == 3
     recorder.problem = "the recording ended early"
-    run(1)
-    assert disk.text == "not recording"
+    run(3)
+    assert (disk.text, said[3:]) == ("recording ended", ["the recording ended early"])
 
 
 def test_what_does_not_grow_never_fills_the_disk() -> None:

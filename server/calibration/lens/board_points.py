@@ -167,12 +167,20 @@ def _crossing(quad: Floats) -> Floats:
 def _circles(image: NDArray[np.uint8], target: Target) -> Seen | None:
     """Dots, dark on light or light on dark: centres of gravity, and areas for the correction of their perspective."""
     grid = cv2.CALIB_CB_ASYMMETRIC_GRID if target.kind == "acircles" else cv2.CALIB_CB_SYMMETRIC_GRID
+    detector = _blob_detector(image.size / len(target.points))
     for dark in (image, 255 - image):
-        found, centres = cv2.findCirclesGrid(dark, (target.columns, target.rows), flags=grid)
+        found, centres = cv2.findCirclesGrid(dark, (target.columns, target.rows), flags=grid, blobDetector=detector)
         if found:
             pixels, areas = _dots(dark, np.asarray(centres, np.float64).reshape(-1, 2))
             return Seen(target.points, pixels, areas)
     return None
+
+
+def _blob_detector(largest: float) -> cv2.SimpleBlobDetector:
+    """OpenCV's own for dots, but for those of up to ``largest`` px^2: it leaves out what is over 5000."""
+    params = cv2.SimpleBlobDetector.Params()
+    params.maxArea = max(params.maxArea, largest)
+    return cv2.SimpleBlobDetector.create(params)
 
 
 def _dots(image: NDArray[np.uint8], centres: Floats) -> tuple[Floats, Floats]:

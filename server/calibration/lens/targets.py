@@ -14,7 +14,7 @@ KINDS = ("chessboard", "circles", "acircles", "charuco")
 LEAST_POINTS, MOST_POINTS = 6, 2000
 EXPECTED = (
     "expected KIND:COLSxROWS:PITCH with KIND chessboard (inner corners), circles, acircles or charuco (squares), "
-    "PITCH in m; or leds:BOARD.yaml"
+    "PITCH in m"
 )
 
 
@@ -63,21 +63,30 @@ def parse_target(text: str) -> Target:
     kind, _, rest = text.partition(":")
     if kind == "leds" and rest:
         return _led_board(Path(rest), text)
+    return parse_board(text, "--target ", "; or leds:BOARD.yaml")
+
+
+def parse_board(text: str, argument: str = "", also: str = "") -> Target:
+    """The printed board that ``KIND:COLSxROWS:PITCH`` names; ``argument`` begins and ``also`` ends the sentence of an
+    InputError.
+    """
+    kind, _, rest = text.partition(":")
     size, _, pitch_text = rest.partition(":")
     columns_text, _, rows_text = size.partition("x")
     try:
         pitch = float(pitch_text)
     except ValueError:
         pitch = 0.0
-    if kind not in KINDS or not columns_text.isdigit() or not rows_text.isdigit() or not pitch > 0.0:
-        raise InputError(f"--target {text}: {EXPECTED}")
+    counts = columns_text + rows_text
+    if kind not in KINDS or not (columns_text and rows_text and counts.isascii() and counts.isdigit()) or not pitch > 0:
+        raise InputError(f"{argument}{text}: {EXPECTED}{also}")
     columns, rows = int(columns_text), int(rows_text)
     least = 3 if kind == "chessboard" else 2
     if min(columns, rows) < least or columns * rows > MOST_POINTS:
-        raise InputError(f"--target {text}: {columns} x {rows}, expected {least} x {least} to {MOST_POINTS} points")
+        raise InputError(f"{argument}{text}: {columns} x {rows}, expected {least} x {least} to {MOST_POINTS} points")
     if pitch >= 1.0:
         raise InputError(
-            f"--target {text}: {pitch:g} m from point to point; PITCH is in m: if you meant mm, say {pitch / 1e3:g}"
+            f"{argument}{text}: {pitch:g} m from point to point; PITCH is in m: if you meant mm, say {pitch / 1e3:g}"
         )
     if kind == "charuco":
         columns, rows = columns - 1, rows - 1
