@@ -49,6 +49,8 @@ def is_command(words: list[str]) -> bool:
     """Whether a line of a shell block can be run: of another program, only that it is one that pages may use."""
     if words[0] == "asterism":
         return parses(words[1:])
+    if words[0] == "source":
+        return (REPOSITORY / words[1]).exists()
     return words[0] in OTHERS
 
 
