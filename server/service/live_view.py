@@ -72,6 +72,7 @@ class LiveView:
             # The program on the path only starts the viewer proper.
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self._viewer.pid, signal.SIGTERM)
+            self._viewer.wait()
 
     def __enter__(self) -> "LiveView":
         return self
