@@ -50,6 +50,7 @@ class Drawing:
         self._trails: dict[str, deque[Floats]] = {robot.id: deque(maxlen=TRAIL) for robot in rig.robots}
         self._states: dict[str, str] = {}
         self._angles: dict[str, Floats] = {}
+        self._two_tilts: set[str] = set()  # drawn with both
         place_scene(stream, rig)
 
     def image(self, image: NDArray[np.uint8], time_ns: int, sequence: int) -> None:
@@ -135,8 +136,11 @@ class Drawing:
     def _alternative(self, robot: "pb.RobotReport") -> None:
         path = f"world/alternatives/{robot.id}"
         if not robot.HasField("alternative"):
-            self._stream.log(path, rr.Clear(recursive=False))
+            if robot.id in self._two_tilts:
+                self._two_tilts.remove(robot.id)
+                self._stream.log(path, rr.Clear(recursive=False))
             return
+        self._two_tilts.add(robot.id)
         edge = report_pose(robot.alternative.pose).map(self._outlines[robot.id])
         self._stream.log(
             path,

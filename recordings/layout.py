@@ -19,7 +19,7 @@ def blueprint(rig: Rig) -> rrb.Blueprint:
     rows = min(len(rig.robots), MOST_ROWS)
     return rrb.Blueprint(
         rrb.Vertical(
-            rrb.Horizontal(_camera_view(), _space_view(rig), column_shares=[4, 5]),
+            rrb.Horizontal(camera_view(), space_view(rig), column_shares=[4, 5]),
             rrb.Horizontal(
                 rrb.Vertical(
                     rrb.TextDocumentView(origin="robots", name="robots now"),
@@ -37,7 +37,8 @@ def blueprint(rig: Rig) -> rrb.Blueprint:
     )
 
 
-def _camera_view() -> rrb.Spatial2DView:
+def camera_view() -> rrb.Spatial2DView:
+    """The image with what was found in it."""
     return rrb.Spatial2DView(
         origin="world/camera/image",
         contents="world/camera/image/**",
@@ -45,7 +46,8 @@ def _camera_view() -> rrb.Spatial2DView:
     )
 
 
-def _space_view(rig: Rig) -> rrb.Spatial3DView:
+def space_view(rig: Rig) -> rrb.Spatial3DView:
+    """Camera and robots where they stand; the image lies at the farthest working distance."""
     floor = rrb.LineGrid3D(
         visible=rig.T_world_camera is not None, spacing=GRID_M, plane=Plane3D.XY, color=[150, 160, 175, 90]
     )

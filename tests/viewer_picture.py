@@ -1,7 +1,8 @@
-"""Render a rerun recording to a PNG without a screen: `python -m tests.viewer_picture FILE.rrd OUT.png [FRAME]`.
+"""The documentation's pictures of a recording, without a screen.
 
-Needs a software Vulkan driver (Debian: mesa-vulkan-drivers). Used for the README's picture and to look at recordings
-on machines without a display.
+`python -m tests.viewer_picture RECORDING DIR [FRAME]` writes DIR/review.png, all that `asterism review` shows, and
+DIR/robots.png, image and space alone. docs/ has those of frame 130 of `asterism demo --seconds 3`. Needs a software
+Vulkan driver (Debian: mesa-vulkan-drivers).
 """
 
 import os
@@ -10,15 +11,44 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
-SIZE = "1600x1000"
+import cv2
+import numpy as np
+import rerun.blueprint as rrb
+
+from asterism.protocol.rig import Rig
+from asterism.recordings.layout import blueprint, camera_view, space_view
+from asterism.recordings.reader import Recording
+from asterism.server.command.review import write_rrd
+
 LAVAPIPE = "/usr/share/vulkan/icd.d/lvp_icd.x86_64.json"
+MENU_PX = 37
 
 
-def picture(recording: Path, out: Path, frame: int | None) -> None:
-    """Open the recording in a headless viewer, go to a frame, save what it shows."""
+def main(recording: Recording, folder: Path, frame: int | None) -> None:
+    """Draw the recording twice, and take a picture of each."""
+    with tempfile.TemporaryDirectory() as made:
+        for name, views, size in (("review", blueprint, "1600x1000"), ("robots", robots_alone, "1600x680")):
+            file = Path(made) / f"{name}.rrd"
+            write_rrd(recording, file, views)
+            (folder / f"{name}.png").write_bytes(picture(file, size, frame))
+
+
+def robots_alone(rig: Rig) -> rrb.Blueprint:
+    """Image and space side by side, nothing else."""
+    return rrb.Blueprint(
+        rrb.Horizontal(camera_view(), space_view(rig), column_shares=[4, 5]),
+        rrb.TimePanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.BlueprintPanel(state="hidden"),
+    )
+
+
+def picture(recording: Path, size: str, frame: int | None) -> bytes:
+    """A PNG of what a headless viewer of ``size`` shows of a rerun file at a frame."""
     from rerun.experimental import ViewerClient
 
     with socket.socket() as probe:
@@ -27,7 +57,7 @@ def picture(recording: Path, out: Path, frame: int | None) -> None:
     rerun = shutil.which("rerun", path=f"{Path(sys.executable).parent}:{os.environ.get('PATH', '')}")
     assert rerun is not None, "the rerun viewer is not installed"
     viewer = subprocess.Popen(
-        [rerun, "--headless", "--bind", "127.0.0.1", "--port", str(port), "--window-size", SIZE],
+        [rerun, "--headless", "--bind", "127.0.0.1", "--port", str(port), "--window-size", size],
         env={
             **os.environ,
             "VK_ICD_FILENAMES": os.environ.get("VK_ICD_FILENAMES", LAVAPIPE),
@@ -51,12 +81,18 @@ def picture(recording: Path, out: Path, frame: int | None) -> None:
         if frame is not None:
             client.set_time("frame", sequence=frame, play_state="paused")
         time.sleep(12.0)  # notices of the software renderer fade
-        out.write_bytes(client.take_screenshot(max_size=1600))
+        return without_menu(client.take_screenshot(max_size=1600))
     finally:
         # The program on the path only starts the viewer proper.
         os.killpg(viewer.pid, signal.SIGTERM)
         viewer.wait()
 
 
+def without_menu(png: bytes) -> bytes:
+    """The picture below the viewer's menu."""
+    shown = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    return cv2.imencode(".png", shown[MENU_PX:], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
+
+
 if __name__ == "__main__":
-    picture(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else None)
+    main(Recording(Path(sys.argv[1])), Path(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else None)

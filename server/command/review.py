@@ -5,13 +5,16 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import rerun as rr
+import rerun.blueprint as rrb
 
 from asterism.protocol.codec import decode_frame_report, decode_image
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import FRAME_REPORT, IMAGE
+from asterism.protocol.rig import Rig
 from asterism.recordings.drawing import APPLICATION, Drawing
 from asterism.recordings.layout import blueprint
 from asterism.recordings.reader import Recording
@@ -49,11 +52,11 @@ def run(options: argparse.Namespace) -> int:
         return subprocess.run([sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(file)], check=False).returncode
 
 
-def write_rrd(recording: Recording, out: Path) -> None:
-    """Draw a whole recording into a rerun file."""
+def write_rrd(recording: Recording, out: Path, views: Callable[[Rig], rrb.Blueprint] = blueprint) -> None:
+    """Draw a whole recording into a rerun file, its ``views`` laid out for the rig."""
     rig = recording.rig()
     stream = rr.RecordingStream(APPLICATION, recording_id=recording.path.name)
-    stream.save(out, default_blueprint=blueprint(rig))
+    stream.save(out, default_blueprint=views(rig))
     drawing = Drawing(stream, rig)
     total = recording.count_messages() + recording.count_frames()
     for message in progress(recording.messages_and_images(), total, "drawing"):

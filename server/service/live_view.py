@@ -3,8 +3,10 @@
 The newest frame wins here as well: a viewer that is slow loses frames, never the chain its time.
 """
 
+import contextlib
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -39,6 +41,7 @@ class LiveView:
             command if has_display else [*command, "--serve-grpc"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C ends the server, not what it has shown
         )
         url = f"rerun+http://127.0.0.1:{port}/proxy"
         if not has_display:
@@ -66,7 +69,10 @@ class LiveView:
         self._thread.join(timeout=5.0)
         self._stream.disconnect()
         if self._viewer.args[-1] == "--serve-grpc":  # type: ignore[index]
-            self._viewer.terminate()
+            # The program on the path only starts the viewer proper.
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._viewer.pid, signal.SIGTERM)
+            self._viewer.wait()
 
     def __enter__(self) -> "LiveView":
         return self

@@ -3,6 +3,7 @@
 import io
 
 import numpy as np
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from asterism.server.calibration.lens.coverage import COLUMNS, LEAST_IN_CELL, ROWS, points_by_cell, tilts_deg
@@ -19,15 +20,17 @@ def coverage_png(fit: CameraFit) -> bytes:
     counts = points_by_cell(fit.views, camera.width, camera.height)
     x = np.linspace(-0.5, camera.width - 0.5, COLUMNS + 1)
     y = np.linspace(-0.5, camera.height - 0.5, ROWS + 1)
-    left.pcolormesh(x, y, np.ma.masked_where(counts >= LEAST_IN_CELL, counts), cmap="Reds", vmin=-10, vmax=4)
+    few = np.ma.masked_where(counts >= LEAST_IN_CELL, counts)
+    left.pcolormesh(x, y, few, cmap=ListedColormap(["#f7c4bd"]), vmin=0, vmax=LEAST_IN_CELL)
     for view in fit.views:
         left.plot(*view.seen.pixels.T, ".", markersize=3, color="#0072B2", alpha=0.5)
     for row in range(ROWS):
         for column in range(COLUMNS):
             left.text(x[column] + 8, y[row] + 8, str(counts[row, column]), va="top", fontsize=8, color="#444444")
+    total = sum(len(view.seen.points) for view in fit.views)
     left.set(
         xlim=(x[0], x[-1]), ylim=(y[-1], y[0]), aspect="equal", xlabel="x, px", ylabel="y, px",
-        title=f"{sum(len(view.seen.points) for view in fit.views)} points of {len(fit.views)} views; red: none",
+        title=f"{total} points of {len(fit.views)} views; red: fewer than {LEAST_IN_CELL}",
     )  # fmt: skip
     tilts = tilts_deg(fit)
     drawn = right.scatter(tilts[:, 0], tilts[:, 1], c=fit.ts[:, 2], cmap="viridis", edgecolors="#444444")
@@ -71,7 +74,7 @@ def residuals_png(fit: CameraFit) -> bytes:
         [view.frame for view in fit.views][:: 1 if few else len(place) // 15], rotation=90, fontsize=7
     )
     right.set(ylabel="RMS, px", title="view by view")
-    right.legend()
+    figure.legend(*right.get_legend_handles_labels(), loc="outside lower right", ncols=2, frameon=False)
     return _png(figure)
 
 
