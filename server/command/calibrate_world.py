@@ -132,8 +132,9 @@ def _tell(fit: WorldFit) -> None:
     """The verification samples with their residuals."""
     console = _console()
     table = Table(box=None, header_style="bold", padding=(0, 1))
-    for name in ("sample", "x mm", "y mm", "z mm", "rotation deg", "held out: x mm", "y mm", "z mm", ""):
-        table.add_column(name, justify="left" if name in ("sample", "") else "right", no_wrap=True)
+    console.print("residuals, mm and degrees, and in mm those of each sample held out (x' y' z'):", highlight=False)
+    for name in ("sample", "x", "y", "z", "deg", "x'", "y'", "z'", "" if fit.used.all() else "left out"):
+        table.add_column(name, justify="left" if name == "sample" else "right", no_wrap=True)
     order = np.arange(len(fit.samples))
     if len(order) > MOST_ROWS:
         size = np.where(np.isnan(fit.held_out_m), fit.residuals_m, fit.held_out_m)
@@ -146,7 +147,7 @@ def _tell(fit: WorldFit) -> None:
             *(f"{1e3 * value:.3f}" for value in fit.residuals_m[k]),
             "-" if np.isnan(turned) else f"{turned:.3f}",
             *("-" if np.isnan(value) else f"{1e3 * value:.3f}" for value in fit.held_out_m[k]),
-            "" if fit.used[k] else "left out",
+            "" if fit.used[k] else "x",
         )
     console.print(table)
     used, held_out = fit.residuals_m[fit.used], fit.held_out_m[fit.used]

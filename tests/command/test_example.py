@@ -129,7 +129,7 @@ def test_its_readme_can_be_pasted(folder: Path, capsys: pytest.CaptureFixture[st
             words[at] = FEWER[words[at]]
         if words[:2] != ["report", "rig3.yaml"] and words[0] != "example":  # once each is enough
             told[words[0]] = " ".join(paste(words, folder).split())
-    assert "measured RMS / predicted one sigma" in told["report"]
+    assert "measured RMS beside predicted one sigma" in told["report"]
     honest = re.search(r"over the chain's own ([\d.]+) \(6 is honest\)", told["report"])
     assert honest is not None
     assert 3.0 < float(honest[1]) < 20.0
