@@ -191,10 +191,10 @@ def _tell(fit: CameraFit, held_out: dict[str, float], search: _Search) -> None:
     console.print(table)
     table = Table(box=None, header_style="bold", padding=(0, 1))
     values = [*(fit.camera.matrix[at] for at in ((0, 0), (1, 1), (0, 2), (1, 2))), *fit.camera.distortion]
-    for name in ("", *fit.sigmas):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_row("value", *(f"{value:.6g}" for value in values))
-    table.add_row("sigma", *(f"{sigma:.2g}" for sigma in fit.sigmas.values()))
+    for name in ("", "value", "sigma"):
+        table.add_column(name, justify="right" if name else "left", no_wrap=True)
+    for (name, sigma), value in zip(fit.sigmas.items(), values, strict=True):
+        table.add_row(name, f"{value:.6g}", f"{sigma:.2g}")
     console.print(table)
     console.print(
         f"RMS distance of a point: {fit.total_rms_px:.3f} px fitted, {fit.total_held_out_px:.3f} px in views held out",

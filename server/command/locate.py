@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import logging
 import os
 import sys
 from collections.abc import Iterator
@@ -30,6 +31,8 @@ EXAMPLES = (
     "asterism locate rig.yaml 'frames/*.png' -o poses.jsonl --independent\n"
 )
 
+_LOG = logging.getLogger(__name__)
+
 
 def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
@@ -56,6 +59,7 @@ def run(options: argparse.Namespace) -> int:
     with _output(options.out, options.force) as out:
         for frame in progress(source.frames(), source.length, "localizing"):
             result, after = localize(frame, rig, tracks)
+            _log(frame, result)
             if not options.independent:
                 tracks = after
             if options.smooth:
@@ -64,6 +68,13 @@ def run(options: argparse.Namespace) -> int:
     if source.unreadable:
         say(f"{source.unreadable} images could not be read and were skipped")
     return 0
+
+
+def _log(frame: Frame, result: FrameResult) -> None:
+    """For --verbose: what a frame showed."""
+    if _LOG.isEnabledFor(logging.DEBUG):
+        states = ", ".join(f"{robot} {answer.state}" for robot, answer in result.answers.items())
+        _LOG.debug("%s: %d spots; %s", frame.name, len(result.blobs.fates), states)
 
 
 def line(frame: Frame, result: FrameResult) -> dict[str, Any]:
