@@ -111,13 +111,17 @@ def _table(budget: Budget) -> Table:
 
 
 def _tell(console: Console, compared: Compared, bins: list[Bin]) -> None:
-    table = Table(title="measured RMS / predicted one sigma", box=None, header_style="bold", padding=(0, 1))
-    for name in ("m", "sightings", "x mm", "y mm", "z mm", "rx deg", "ry deg", "rz deg"):
-        table.add_column(name, justify="right", no_wrap=True)
+    table = Table(
+        title="measured RMS beside the predicted standard deviation", box=None, header_style="bold", padding=(0, 1)
+    )
+    for name in ("m", "seen", "", "x mm", "y mm", "z mm", "rx deg", "ry deg", "rz deg"):
+        table.add_column(name, justify="right" if name else "left", no_wrap=True)
     scales = np.array([1e3, 1e3, 1e3, *[np.degrees(1.0)] * 3])
     for part in bins:
-        pairs = zip(part.measured * scales, part.predicted * scales, strict=True)
-        table.add_row(f"{part.distance:.2f}", str(part.count), *(f"{a:.3f} / {b:.3f}" for a, b in pairs))
+        table.add_row(
+            f"{part.distance:.2f}", str(part.count), "measured", *(f"{a:.3f}" for a in part.measured * scales)
+        )
+        table.add_row("", "", "predicted", *(f"{a:.3f}" for a in part.predicted * scales), style="dim")
     console.print(table)
     whole, own = compared.nees
     console.print(
