@@ -99,8 +99,8 @@ def _from_survey(options: argparse.Namespace, rig: Rig) -> tuple[Pose, Floats]:
 def _tell(fit: WorldFit) -> None:
     """The verification samples with their residuals."""
     console = _console()
-    table = Table(box=None, header_style="bold", padding=(0, 1))
-    for name in ("sample", "x mm", "y mm", "z mm", "rotation deg", "held out: x mm", "y mm", "z mm", ""):
+    table = Table(box=None, header_style="bold", padding=(0, 1, 0, 0))
+    for name in ("sample", "x mm", "y mm", "z mm", "rotation\ndeg", "held out\nx mm", "y mm", "z mm", ""):
         table.add_column(name, justify="left" if name in ("sample", "") else "right", no_wrap=True)
     order = np.arange(len(fit.samples))
     if len(order) > MOST_ROWS:
