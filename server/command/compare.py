@@ -25,10 +25,10 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print the differences; exit code 1 if they exceed the tolerances."""
     found = compare(Recording(options.a), Recording(options.b))
-    table = Table(box=None, header_style="bold", padding=(0, 1))
+    table = Table(box=None, header_style="bold", padding=(0, 1, 0, 0))
     columns = (
-        "robot", "frames", "only in A", "only in B", "other state", "other LEDs", "position mm", "max", "rotation deg",
-        "max", "rms px", "max",
+        "robot", "frames", "only\nin A", "only\nin B", "other\nstate", "other\nLEDs", "position\nmm", "\nmax",
+        "rotation\ndeg", "\nmax", "rms\npx", "\nmax",
     )  # fmt: skip
     for name in columns:
         table.add_column(name, justify="left" if name == "robot" else "right", no_wrap=True)
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
             (robot.rotation_rad, math.degrees(1.0)),
             (robot.rms_px, 1.0),
         ):
-            cells += [f"{scale * percentile(values, share):.3g}" for share in (50, 100)]
+            cells += [_cell(scale * percentile(values, share)) for share in (50, 100)]
         table.add_row(*cells)
     console = Console()
     if not console.is_terminal:
@@ -66,3 +66,8 @@ def run(options: argparse.Namespace) -> int:
         highlight=False,
     )
     return 0 if same else 1
+
+
+def _cell(value: float) -> str:
+    """A difference; one that is nothing in mm, degrees and px takes no room."""
+    return "<1e-6" if 0.0 < value < 1e-6 else f"{value:.2g}"

@@ -11,7 +11,7 @@ from asterism.protocol.geometry import Floats
 from asterism.protocol.program import typed
 from asterism.protocol.rig import parse_rig
 from asterism.server.command.number_arguments import count, positive
-from asterism.server.command.progress import working
+from asterism.server.command.progress import interruptible, working
 from asterism.server.command.shared_arguments import add_out
 from asterism.server.design.drill_plan import drill_plan
 from asterism.server.design.page import pdf, svg
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
     check_folder(out, options.force)
     request = Request(options.robots, options.disc, options.spacing, options.distance, options.sigma)
     with working("searching"):
-        found = design(request)
+        found = interruptible(lambda: design(request))
     rig, camera = rig_text(found), camera_text()
     parse_rig(rig, camera, str(out))
     with new_folder(out, options.force) as made:

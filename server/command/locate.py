@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import logging
 import os
 import sys
 from collections.abc import Iterator
@@ -35,6 +36,8 @@ EXAMPLES = (
     "asterism locate rig.yaml 'frames/*.png' -o poses.jsonl --independent\n"
 )
 
+_LOG = logging.getLogger(__name__)
+
 
 def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
@@ -63,6 +66,7 @@ def run(options: argparse.Namespace) -> int:
         with stop_on_signals(stop), _live_line(options.out, source, tally):
             for frame, result in _located(source.frames(), rig, options.independent, options.smooth):
                 out.write(encoder.encode(line(frame, result)) + b"\n")
+                _log(frame, result)
                 tally.add(frame, result)
                 adviser.look()
                 if stop():
@@ -104,6 +108,13 @@ def _live_line(out: Path, source: Source, tally: Tally) -> AbstractContextManage
         return Now(tally.frames, source.length, tally.rate_hz(), tally.newest(), notes)
 
     return LiveLine(now)
+
+
+def _log(frame: Frame, result: FrameResult) -> None:
+    """For --verbose: what a frame showed."""
+    if _LOG.isEnabledFor(logging.DEBUG):
+        states = ", ".join(f"{robot} {answer.state}" for robot, answer in result.answers.items())
+        _LOG.debug("%s: %d spots; %s", frame.name, len(result.blobs.fates), states)
 
 
 def line(frame: Frame, result: FrameResult) -> dict[str, Any]:

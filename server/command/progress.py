@@ -2,7 +2,9 @@
 
 import contextlib
 import logging
+import threading
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future
 from typing import TypeVar
 
 from asterism.server.service.telling import shows_progress
@@ -27,6 +29,20 @@ def progress(items: Iterable[T], length: int | None, what: str) -> Iterator[T]:
         for item in items:
             yield item
             bar.advance(task)
+
+
+def interruptible(work: Callable[[], T]) -> T:
+    """What ``work`` returns; Ctrl-C ends it also while it is in compiled code, which would not hear it."""
+    done: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            done.set_result(work())
+        except BaseException as error:
+            done.set_exception(error)
+
+    threading.Thread(target=run, name="work", daemon=True).start()
+    return done.result()
 
 
 @contextlib.contextmanager

@@ -1,5 +1,6 @@
 """From what a person names to the source it is."""
 
+import logging
 from pathlib import Path
 
 from asterism.protocol.errors import InputError
@@ -14,6 +15,8 @@ from asterism.server.sources.source import Expected, Say, Source
 from asterism.server.sources.v4l2 import open_v4l2
 from asterism.server.sources.video import VideoFile
 
+_LOG = logging.getLogger(__name__)
+
 
 def open_source(text: str, rig: Rig | None, say: Say, seed: int = 0) -> Source:
     """The source that a person names: `0`, `/dev/video0`, a folder or glob of images, a video, a recording, `sim`.
@@ -22,6 +25,13 @@ def open_source(text: str, rig: Rig | None, say: Say, seed: int = 0) -> Source:
 
     Raises InputError when it is none of these, WorldError when a camera does not open.
     """
+    source = _open(text, rig, say, seed)
+    many = "frames without end" if source.length is None else f"{source.length} frames"
+    _LOG.debug("%s is a %s: %s at %g Hz", text, type(source).__name__, many, source.rate_hz)
+    return source
+
+
+def _open(text: str, rig: Rig | None, say: Say, seed: int) -> Source:
     if text == "sim" and rig is not None:
         return Simulated(rig, seed)
     if _is_camera(text):

@@ -21,6 +21,7 @@ from asterism.server.calibration.lens.fit import CameraFit, ends_inside, fit_cam
 from asterism.server.calibration.lens.layout_match import match_layout
 from asterism.server.calibration.lens.targets import Target, parse_target
 from asterism.server.chain.frame import Frame
+from asterism.server.service.telling import telling
 from asterism.server.sources.images import read_image
 from tests.calibration.lens.boards import FISHEYE, Lens, chessboard, discs, poses, render
 from tests.helpers import conic_centres, shared
@@ -387,7 +388,8 @@ def test_a_live_camera_gives_still_and_new_views_and_is_told_where_next(
 
     monkeypatch.setattr(command, "find_points", lambda *_: shown[search.looked_at - 1])
     search = command._Search(target)
-    command._watch(Live(), search)  # type: ignore[arg-type]
+    with telling():
+        command._watch(Live(), search)  # type: ignore[arg-type]
     assert command.ENOUGH_VIEWS <= len(search.views) <= len(held)
     assert all(any(view.seen is other.seen for other in held) for view in search.views)
     told = capsys.readouterr().err
