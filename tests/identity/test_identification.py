@@ -270,7 +270,7 @@ def test_four_leds_of_a_stranger_with_six_are_nobody(rng: np.random.Generator) -
             poses = dict(enumerate(apart(rng, 8)))
             hidden = {robot: rng.choice(6, 6 - lit, replace=False).tolist() for robot in poses}
             seen, where = spots_of(plan, poses, rng, hidden)
-            assert cold(with_sizes(seen, plan, poses, where), rig).robots.tolist() == []
+            assert cold(with_sizes(seen, plan, poses, where), rig).found.robots.tolist() == []
 
 
 def test_four_leds_among_others_like_them_are_a_doubt_or_nobody(rng: np.random.Generator) -> None:
@@ -288,21 +288,21 @@ def test_four_leds_among_others_like_them_are_a_doubt_or_nobody(rng: np.random.G
             np.vstack([seen.rays, middle]),
             *(np.concatenate([a, a[:2]]) for a in (seen.covariances, seen.variances, seen.heights, seen.radii)),
         )
-        assert cold(more, rig).robots.tolist() == []
+        assert cold(more, rig).found.robots.tolist() == []
 
 
 def test_clutter_alone_is_nobody(rng: np.random.Generator) -> None:
     rig = make_rig(8, seed=3)
     for _ in range(40):
         seen, _ = spots_of(plan_for(rig), {}, rng, clutter=40)
-        assert cold(seen, rig).robots.tolist() == []
+        assert cold(seen, rig).found.robots.tolist() == []
 
 
 def test_strangers_are_nobody(rng: np.random.Generator) -> None:
     rig, strangers = make_rig(5, seed=5), make_rig(5, seed=99)
     for _ in range(20):
         seen, _ = spots_of(plan_for(strangers), dict(enumerate(apart(rng, 5))), rng)
-        assert cold(seen, rig).robots.tolist() == []
+        assert cold(seen, rig).found.robots.tolist() == []
 
 
 def test_a_dimmer_mirror_image_of_a_robot_is_not_the_robot(rng: np.random.Generator) -> None:
