@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,10 +10,11 @@ from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.rig import Rig
 from asterism.server.identity import assign
 from asterism.server.identity.evidence import score
-from asterism.server.identity.identify import Matches, Rays, identify
+from asterism.server.identity.identify import Matches, identify
 from asterism.server.identity.neighbours import Spots, first_from, nearest_neighbours
 from asterism.server.identity.plan import Plan, plan_for
 from asterism.server.identity.quads import CELLS, QuadTable, View, invariants, look_up, room_to_look_up
+from asterism.server.identity.rays import Rays
 from asterism.server.pose.track import Tracks
 from tests.helpers import facing_pose
 from tests.rigs import make_rig, random_layout
@@ -242,7 +242,7 @@ def with_sizes(seen: Rays, plan: Plan, poses: dict[int, Pose], where: dict[int, 
         facing = -pose.rotation[:, 2] @ pose.position / np.linalg.norm(pose.position)
         rows = where[robot][where[robot] >= 0]
         radii[rows] = 0.0025 * plan.focal / pose.position[2] * math.sqrt(facing)
-    return replace(seen, radii=radii)
+    return seen._replace(radii=radii)
 
 
 @pytest.mark.parametrize("everybody", [False, True])
