@@ -9,8 +9,9 @@ from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import Fate
 from asterism.server.centres.blobs import Blobs, Ints
 from asterism.server.compiled import compiled
-from asterism.server.identity.identify import Matches, Rays
+from asterism.server.identity.identify import Matches
 from asterism.server.identity.plan import Plan
+from asterism.server.identity.rays import Rays
 from asterism.server.pose.choose import Choices
 from asterism.server.pose.fit import LEDS
 from asterism.server.pose.solve import Alternative, Lost, PoseEstimate, Solutions

@@ -10,13 +10,15 @@ from asterism.server.centres.blobs import Blobs, find_blobs
 from asterism.server.centres.centre import refine_leaning
 from asterism.server.chain.answers import answers_of
 from asterism.server.chain.frame import Frame, FrameResult
-from asterism.server.identity.identify import Rays, identify, rays_of
+from asterism.server.identity.identify import identify
 from asterism.server.identity.plan import Plan, plan_for
+from asterism.server.identity.rays import Rays, rays_of
 from asterism.server.pose.choose import Choices, choose
 from asterism.server.pose.lens import undistort
 from asterism.server.pose.matched import Matched, Measured
 from asterism.server.pose.solve import Solutions, solve_robots
 from asterism.server.pose.track import Tracks
+from asterism.server.segmentation.spot_table import SHOULDER
 
 
 def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Tracks]:
@@ -60,6 +62,8 @@ def _blobs(image: NDArray[np.uint8], plan: Plan) -> Blobs:
 
 def _part_leaning(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> None:
     """Centre those robots' spots anew that other light leans on: in the blobs and in the rays."""
+    if not np.count_nonzero(blobs.table[:, SHOULDER]):
+        return
     claimed = seen.rows[found.assignment[found.assignment >= 0]]
     if refine_leaning(image, blobs.table, claimed, blobs.centres_px, blobs.covariances_px2):
         undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)

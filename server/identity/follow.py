@@ -61,7 +61,7 @@ def _alike(height, wanted):
 @compiled
 def _claim(spots, constellations, expected, gates, brightness, focal, assignment):
     """Fill ``assignment`` (m, 6): every LED takes the nearest free spot of like ``brightness`` (m,) within its gate."""
-    flat = spots.flat
+    flat, free, heights = spots.flat, spots.free, spots.heights
     n = flat.shape[0]
     order = np.argsort(flat[:, 0])
     xs = flat[order, 0]
@@ -87,10 +87,10 @@ def _claim(spots, constellations, expected, gates, brightness, focal, assignment
             while place < n and xs[place] <= px + gate:
                 spot = order[place]
                 place += 1
-                if not spots.free[spot]:
+                if not free[spot]:
                     continue
                 away2 = (flat[spot, 0] - px) ** 2 + (flat[spot, 1] - py) ** 2
-                if away2 < best2 and _alike(spots.heights[spot], brightness[k]):
+                if away2 < best2 and _alike(heights[spot], brightness[k]):
                     best, best2 = spot, away2
             if best >= 0 and best2 < wanted_at[best]:
                 if wanted_by[best] >= 0:
@@ -107,14 +107,15 @@ def _fit(layout, labels, spots, systematic2, rotation, t, room, which):
     The result is pose ``which`` of the ``room`` (`fit.FitRoom`).
     """
     points, seen, information = room.points, room.seen, room.information
+    rays, variances = spots.rays, spots.variances
     count = 0
     for led in range(LEDS):
         spot = labels[led]
         if spot < 0:
             continue
         points[count] = layout[led]
-        seen[count] = spots.rays[spot]
-        information[count, 0] = information[count, 2] = 1.0 / (spots.variances[spot] + systematic2)
+        seen[count] = rays[spot]
+        information[count, 0] = information[count, 2] = 1.0 / (variances[spot] + systematic2)
         information[count, 1] = 0.0
         count += 1
     room.rotations[which] = rotation
@@ -164,7 +165,7 @@ def _settle(layout, labels, spots, focal, rotation, t, room, trial):
 @compiled
 def _gather_missing(layout, labels, spots, focal, rotation, t, height):
     """Give a robot the free spots that lie within GATHER_PX of its missing LEDs."""
-    flat, free = spots.flat, spots.free
+    flat, free, heights = spots.flat, spots.free, spots.heights
     for led in range(LEDS):
         if labels[led] >= 0:
             continue
@@ -173,7 +174,7 @@ def _gather_missing(layout, labels, spots, focal, rotation, t, height):
         best, best2 = -1, GATHER_PX * GATHER_PX
         for spot in range(flat.shape[0]):
             away2 = (flat[spot, 0] - px) ** 2 + (flat[spot, 1] - py) ** 2
-            if free[spot] and away2 < best2 and _alike(spots.heights[spot], height):
+            if free[spot] and away2 < best2 and _alike(heights[spot], height):
                 best, best2 = spot, away2
         if best >= 0:
             labels[led] = best

@@ -5,13 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.protocol.geometry import Floats
-from asterism.server.centres.blobs import Blobs, Ints
 from asterism.server.identity.cold import find
 from asterism.server.identity.follow import follow
 from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan
-from asterism.server.pose.lens import undistort_kept
+from asterism.server.identity.rays import Rays
 from asterism.server.pose.matched import Matched
 from asterism.server.pose.track import Tracks
 
@@ -26,30 +24,6 @@ class Matches:
     found: Matched
     warm: int
     doubts: dict[int, str]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rays:
-    """The kept spots as the matching sees them; row i is blob ``rows[i]``."""
-
-    rows: Ints
-    flat: Floats  # (n, 2) ideal px about the principal point, y up
-    rays: Floats  # (n, 2) x / z, y / z
-    covariances: Floats  # (n, 3) of the rays
-    variances: Floats  # (n,) of the rays, mean of both axes
-    heights: Floats  # (n,)
-    radii: Floats  # (n,) px
-
-
-def rays_of(blobs: Blobs, plan: Plan) -> Rays:
-    """The kept spots, undistorted; what no ray of the lens model reaches is left out."""
-    n = len(blobs)
-    rows, rays, covariances = np.empty(n, np.int64), np.empty((n, 2)), np.empty((n, 3))
-    count = undistort_kept(plan.lens, blobs.fates, blobs.centres_px, blobs.covariances_px2, rows, rays, covariances)
-    rows, rays, covariances = rows[:count], rays[:count], covariances[:count]
-    flat = rays * np.array([plan.focal, -plan.focal])
-    variances = 0.5 * (covariances[:, 0] + covariances[:, 2])
-    return Rays(rows, flat, rays, covariances, variances, blobs.heights[rows], blobs.radii_px[rows])
 
 
 def identify(seen: Rays, plan: Plan, tracks: Tracks, exposed_ns: int) -> Matches:

@@ -96,18 +96,15 @@ def axis_cost(axis, wanted, within):
 
 
 @compiled
-def _whole_cost(cost, rotation, robot, exposed_ns, mounts, tracks, work):
-    """The cost of a robot's rotation, T_camera_plane, with what is known beforehand against it, in squared sigmas."""
-    if is_fresh(tracks.seen_ns[robot], exposed_ns):
-        cost += tilt_cost(tracks, robot, exposed_ns, rotation)
-    if mounts.within[robot] >= 0.0:
-        product_into(mounts.camera_rotation, rotation, work.turn)
-        for i in range(3):
-            work.axis[i] = 0.0
-            for j in range(3):
-                work.axis[i] += work.turn[i, j] * mounts.axes[robot, j]
-        cost += axis_cost(work.axis, mounts.normals[robot], mounts.within[robot])
-    return cost
+def _cone_cost(rotation, robot, mounts, work):
+    """Squared sigmas by which a robot's rotation, T_camera_plane, leaves the cone that the rig tells."""
+    turn, axis, axes = work.turn, work.axis, mounts.axes
+    product_into(mounts.camera_rotation, rotation, turn)
+    for i in range(3):
+        axis[i] = 0.0
+        for j in range(3):
+            axis[i] += turn[i, j] * axes[robot, j]
+    return axis_cost(axis, mounts.normals[robot], mounts.within[robot])
 
 
 @compiled
@@ -116,20 +113,26 @@ def _to_parent(rotation, t, robot, mounts, work, position, quaternion):
 
     Leaves in ``work.arm`` the robot's origin as seen from the plane's, in the camera's axes.
     """
-    arm = work.arm
+    view, eye, planes, origins = (
+        mounts.camera_rotation,
+        mounts.camera_origin,
+        mounts.plane_rotations,
+        mounts.plane_origins,
+    )
+    arm, turn, inverse = work.arm, work.turn, work.inverse
     for i in range(3):
         for j in range(3):
-            work.inverse[i, j] = mounts.plane_rotations[robot, j, i]
-    product_into(rotation, work.inverse, work.turn)  # R_camera_robot
+            inverse[i, j] = planes[robot, j, i]
+    product_into(rotation, inverse, turn)  # R_camera_robot
     for i in range(3):
         arm[i] = 0.0
         for j in range(3):
-            arm[i] -= work.turn[i, j] * mounts.plane_origins[robot, j]
+            arm[i] -= turn[i, j] * origins[robot, j]
     for i in range(3):
-        position[i] = mounts.camera_origin[i]
+        position[i] = eye[i]
         for j in range(3):
-            position[i] += mounts.camera_rotation[i, j] * (t[j] + arm[j])
-    product_into(mounts.camera_rotation, work.turn, work.parent)
+            position[i] += view[i, j] * (t[j] + arm[j])
+    product_into(view, turn, work.parent)
     quat_into(work.parent, quaternion)
 
 
@@ -155,10 +158,15 @@ def choose(matched, exposed_ns, solutions, heights, mounts, tracks, choices):
     for k in range(matched.robots.shape[0]):
         robot, costs = matched.robots[k], solutions.costs[k]
         rotations, ts, covariances = solutions.rotations[k], solutions.ts[k], solutions.covariances[k]
+        fresh = is_fresh(tracks.seen_ns[robot], exposed_ns)
         for which in range(2):
-            cost = totals[which] = costs[which]
-            if cost < NO_SOLUTION:
-                totals[which] = _whole_cost(cost, rotations[which], robot, exposed_ns, mounts, tracks, work)
+            totals[which] = costs[which]
+            if costs[which] >= NO_SOLUTION:
+                continue
+            if fresh:
+                totals[which] += tilt_cost(tracks, robot, exposed_ns, rotations[which])
+            if mounts.within[robot] >= 0.0:
+                totals[which] += _cone_cost(rotations[which], robot, mounts, work)
         chosen = 0 if totals[0] <= totals[1] else 1
         other = 1 - chosen
         if totals[chosen] >= NO_SOLUTION:

@@ -9,10 +9,7 @@ import numpy as np
 
 from asterism.protocol.camera import Camera
 from asterism.protocol.geometry import Floats
-from asterism.protocol.messages import Fate
 from asterism.server.compiled import compiled
-
-UNEXPLAINED = int(Fate.UNEXPLAINED)  # as a plain integer for the compiled code
 
 # The lens as one array: fx, fy, cx, cy, the model's number, its coefficients (eight places).
 FX, FY, CX, CY, MODEL, COEFFICIENTS = range(6)
@@ -99,24 +96,6 @@ def undistort(lens, centres, covariances, rays, ray_covariances):
         ray_covariances[i, 0] = ia * ia * xx + 2.0 * ia * ib * xy + ib * ib * yy
         ray_covariances[i, 1] = ia * ic * xx + (ia * id_ + ib * ic) * xy + ib * id_ * yy
         ray_covariances[i, 2] = ic * ic * xx + 2.0 * ic * id_ * xy + id_ * id_ * yy
-
-
-@compiled
-def undistort_kept(lens, fates, centres, covariances, rows, rays, ray_covariances):
-    """`undistort` of the spots whose fate (n,) is UNEXPLAINED, without those that no ray of the lens model reaches.
-
-    Fills ``rows`` (n,) with which they are; returns how many.
-    """
-    count = 0
-    for k in range(fates.shape[0]):
-        if fates[k] != UNEXPLAINED:
-            continue
-        one = slice(count, count + 1)
-        undistort(lens, centres[k : k + 1], covariances[k : k + 1], rays[one], ray_covariances[one])
-        if math.isfinite(rays[count, 0]):
-            rows[count] = k
-            count += 1
-    return count
 
 
 @compiled

@@ -81,6 +81,7 @@ def gather(layout, labels, measured, shifts, extra, focal, room, centre):
     the rays; ``extra`` is added to every ray's variance; ``focal`` px.
     """
     points, seen, applied, information = room.points, room.seen, room.applied, room.information
+    rays, covariances = measured.rays, measured.covariances
     count = 0
     centre[:] = 0.0
     floor = (LEAST_SIGMA_PX / focal) ** 2
@@ -92,9 +93,9 @@ def gather(layout, labels, measured, shifts, extra, focal, room, centre):
         centre += layout[led]
         for axis in range(2):
             applied[count, axis] = shifts[led, axis]
-            seen[count, axis] = measured.rays[spot, axis] - shifts[led, axis]
-        own = measured.covariances[spot]
-        xx, xy, yy = own[0] + floor + extra, own[1], own[2] + floor + extra
+            seen[count, axis] = rays[spot, axis] - shifts[led, axis]
+        xx, xy = covariances[spot, 0] + floor + extra, covariances[spot, 1]
+        yy = covariances[spot, 2] + floor + extra
         det = xx * yy - xy * xy
         information[count, 0], information[count, 1], information[count, 2] = yy / det, -xy / det, xx / det
         count += 1

@@ -179,11 +179,12 @@ def _both_minima(robot, solution, focal, work, count):
     """Fill both minima of a robot, refined from the start in ``work``."""
     rotations, ts, costs, optics = solution.rotations, solution.ts, solution.costs, robot.optics
     lit, others = _lit(work, 0, count, work.information), _lit(work, 1, count, work.information)
-    rotations[0] = work.start
+    start, start_t, centre = work.start, work.start_t, work.centre
+    rotations[0] = start
     for i in range(3):
-        ts[0, i] = work.start_t[i]
+        ts[0, i] = start_t[i]
         for j in range(3):
-            ts[0, i] += work.start[i, j] * work.centre[j]
+            ts[0, i] += start[i, j] * centre[j]
     costs[0] = refine_shifted(rotations[0], ts[0], lit, optics, focal, ITERATIONS)
     costs[1] = _other(solution, 0, others, optics, focal)
     if costs[1] < costs[0]:
@@ -234,26 +235,28 @@ def _refine_both(robot, measured, solution, focal, work):
 @compiled
 def _measure_up(rotation, t, lit, work, covariance):
     """Fill the ``covariance`` (6, 6) of a pose about the visible LEDs' mean, and move both to the plane's origin."""
-    normal_equations(rotation, t, lit.points, lit.seen, lit.information, work.a, work.b)
-    invert(work.a, covariance)
+    a, arm, centre = work.a, work.arm, work.centre
+    normal_equations(rotation, t, lit.points, lit.seen, lit.information, a, work.b)
+    invert(a, covariance)
     # t -= R centre, with the rotation's share.
     for i in range(3):
-        work.arm[i] = 0.0
+        arm[i] = 0.0
         for j in range(3):
-            work.arm[i] -= rotation[i, j] * work.centre[j]
-        t[i] += work.arm[i]
-    move_origin(covariance, work.arm)
+            arm[i] -= rotation[i, j] * centre[j]
+        t[i] += arm[i]
+    move_origin(covariance, arm)
 
 
 @compiled
 def _fill_residuals(lens, robot, rotation, t, centres_px, shifts, residuals):
     """Fill ``residuals`` (6, 2) px of a pose: observed minus predicted, 0 for LEDs not seen."""
-    spot_shifts(rotation, t, robot.layout, robot.optics, shifts)
+    layout, labels = robot.layout, robot.labels
+    spot_shifts(rotation, t, layout, robot.optics, shifts)
     for led in range(LEDS):
         residuals[led, :] = 0.0
-        spot = robot.labels[led]
+        spot = labels[led]
         if spot >= 0:
-            x, y, z = mapped(rotation, t, robot.layout[led])
+            x, y, z = mapped(rotation, t, layout[led])
             px, py = project_point(lens, x + shifts[led, 0] * z, y + shifts[led, 1] * z, z)
             residuals[led, 0] = centres_px[spot, 0] - px
             residuals[led, 1] = centres_px[spot, 1] - py

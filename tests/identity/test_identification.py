@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,10 +10,11 @@ from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.rig import Rig
 from asterism.server.identity import assign
 from asterism.server.identity.evidence import score
-from asterism.server.identity.identify import Matches, Rays, identify
+from asterism.server.identity.identify import Matches, identify
 from asterism.server.identity.neighbours import Spots, first_from, nearest_neighbours
 from asterism.server.identity.plan import Plan, plan_for
 from asterism.server.identity.quads import CELLS, QuadTable, View, invariants, look_up, room_to_look_up
+from asterism.server.identity.rays import Rays
 from asterism.server.pose.track import Tracks
 from tests.helpers import facing_pose
 from tests.rigs import make_rig, random_layout
@@ -242,7 +242,7 @@ def with_sizes(seen: Rays, plan: Plan, poses: dict[int, Pose], where: dict[int, 
         facing = -pose.rotation[:, 2] @ pose.position / np.linalg.norm(pose.position)
         rows = where[robot][where[robot] >= 0]
         radii[rows] = 0.0025 * plan.focal / pose.position[2] * math.sqrt(facing)
-    return replace(seen, radii=radii)
+    return seen._replace(radii=radii)
 
 
 @pytest.mark.parametrize("everybody", [False, True])
@@ -270,7 +270,7 @@ def test_four_leds_of_a_stranger_with_six_are_nobody(rng: np.random.Generator) -
             poses = dict(enumerate(apart(rng, 8)))
             hidden = {robot: rng.choice(6, 6 - lit, replace=False).tolist() for robot in poses}
             seen, where = spots_of(plan, poses, rng, hidden)
-            assert cold(with_sizes(seen, plan, poses, where), rig).robots.tolist() == []
+            assert cold(with_sizes(seen, plan, poses, where), rig).found.robots.tolist() == []
 
 
 def test_four_leds_among_others_like_them_are_a_doubt_or_nobody(rng: np.random.Generator) -> None:
@@ -288,21 +288,21 @@ def test_four_leds_among_others_like_them_are_a_doubt_or_nobody(rng: np.random.G
             np.vstack([seen.rays, middle]),
             *(np.concatenate([a, a[:2]]) for a in (seen.covariances, seen.variances, seen.heights, seen.radii)),
         )
-        assert cold(more, rig).robots.tolist() == []
+        assert cold(more, rig).found.robots.tolist() == []
 
 
 def test_clutter_alone_is_nobody(rng: np.random.Generator) -> None:
     rig = make_rig(8, seed=3)
     for _ in range(40):
         seen, _ = spots_of(plan_for(rig), {}, rng, clutter=40)
-        assert cold(seen, rig).robots.tolist() == []
+        assert cold(seen, rig).found.robots.tolist() == []
 
 
 def test_strangers_are_nobody(rng: np.random.Generator) -> None:
     rig, strangers = make_rig(5, seed=5), make_rig(5, seed=99)
     for _ in range(20):
         seen, _ = spots_of(plan_for(strangers), dict(enumerate(apart(rng, 5))), rng)
-        assert cold(seen, rig).robots.tolist() == []
+        assert cold(seen, rig).found.robots.tolist() == []
 
 
 def test_a_dimmer_mirror_image_of_a_robot_is_not_the_robot(rng: np.random.Generator) -> None:
