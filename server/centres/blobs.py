@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import Fate
-from asterism.server.centres.centre import ESTIMATOR_NUMBERS, refine_centres
+from asterism.server.centres.centre import refine_centres
 from asterism.server.segmentation.background import BLOCK_ROWS
 from asterism.server.segmentation.components import COMPONENT_COLUMNS, hot_width
 from asterism.server.segmentation.segment import describe, segment
@@ -77,7 +77,7 @@ def find_blobs(
     )  # fmt: skip
     spots = scratch.spots[:n].copy()
     centres, covariances = np.empty((n, 2)), np.empty((n, 3))
-    refine_centres(image, spots, ESTIMATOR_NUMBERS[estimator], centres, covariances)
+    refine_centres(image, spots, estimator, centres, covariances)
     heights, radii = np.empty(n), np.empty(n)
     fates, robots, leds = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
     describe(spots, heights, radii, fates, robots, leds)

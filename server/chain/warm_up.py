@@ -3,8 +3,8 @@
 import contextlib
 import sys
 
-from asterism.protocol.rig import ESTIMATORS, load_rig
-from asterism.server.compiled import cache_folder
+from asterism.protocol.rig import load_rig
+from asterism.server.kernel_folder import kernel_folder as cache_folder
 
 
 def warm_up() -> None:
@@ -37,7 +37,7 @@ def _run() -> None:
     tracks = Tracks.none()
     for index in range(2):
         image = scene.render(index, scene.truth(index, index / 60.0))
-        for estimator in ESTIMATORS:
+        for estimator in ("edge-model",):
             frame = Frame(image, index * 16_666_667 + 1, index)
             _, after = localize(frame, replace(rig, centre=estimator), tracks)
         tracks = after

@@ -9,9 +9,11 @@ import numpy as np
 
 from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
+from asterism.server.identity.neighbours import first_from
 from asterism.server.pose.fit import LEDS, SYSTEMATIC_PX
 from asterism.server.pose.planar import NO_SOLUTION, refine_pose
 from asterism.server.pose.spot_shift import has_offset, spot_shifts
+from asterism.server.segmentation.order import ascending
 
 LEAST_LEDS = 4
 BRIGHTNESS_STEP = 2.5  # a LED is not that much brighter or dimmer than it was a frame ago
@@ -65,7 +67,7 @@ def follow(
     updates ``rotations`` and ``ts`` of robots that were found, and takes their spots out of ``free``.
     """
     n, robots = flat.shape[0], layouts.shape[0]
-    order = np.argsort(flat[:, 0])
+    order = ascending(flat[:, 0])
     xs = flat[order, 0]
     wanted_by = np.full(n, -1)
     wanted_at = np.full(n, np.inf)
@@ -89,7 +91,7 @@ def follow(
                 continue
             px, py = focal * (x / z + shifts[led, 0]), -focal * (y / z + shifts[led, 1])
             best, best2 = -1, gate * gate
-            place = np.searchsorted(xs, px - gate)
+            place = first_from(xs, px - gate)
             while place < n and xs[place] <= px + gate:
                 spot = order[place]
                 place += 1

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from asterism.server.compiled import compiled
+from asterism.server.segmentation.order import ascending
 
 
 @compiled
@@ -16,7 +17,7 @@ def nearest_neighbours(flat, usable, ranks, heights, radii, least_height, least_
     Fills ``lists`` (n, most) and ``counts`` (n,).
     """
     n, most = lists.shape
-    order = np.argsort(flat[:, 0])
+    order = ascending(flat[:, 0])
     distances = np.empty(most)
     for place in range(n):
         i = order[place]

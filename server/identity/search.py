@@ -23,6 +23,7 @@ from asterism.server.identity.neighbours import first_from, nearest_neighbours
 from asterism.server.identity.plan import MOST_TILT, Plan
 from asterism.server.identity.quads import look_up
 from asterism.server.pose.fit import CHI2, LEDS, SYSTEMATIC_PX, fit_labelled, median_of, misfit
+from asterism.server.segmentation.order import ascending
 
 Ints = NDArray[np.int64]
 
@@ -146,7 +147,7 @@ class _Work(NamedTuple):
 
 @compiled
 def _work(flat):
-    by_x = np.argsort(flat[:, 0])
+    by_x = ascending(flat[:, 0])
     return _Work(
         np.empty((4, 2)), np.empty(4, np.int64), np.empty(2), np.empty(64, np.int64),
         np.empty(4, np.int64), np.empty(4, np.int64), np.empty(4, np.int64),
@@ -406,7 +407,7 @@ def search(spots, sought, limits, claims, pending):
     spots are then no longer free, and ``pending`` with hypotheses. Returns the number of quads tried.
     """
     n = spots.flat.shape[0]
-    by_height = np.argsort(-spots.heights)
+    by_height = ascending(-spots.heights)
     ranks = np.empty(n, np.int64)
     ranks[by_height] = np.arange(n)
     # An LED's spot tells how near it is, and so how far the others may be.

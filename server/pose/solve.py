@@ -167,13 +167,24 @@ def _systematic(rotation, t, points, seen, information, focal):
     logs = -0.5 * (squares + (2 * n - 6) / (2.0 * n) * np.log(growth))
     logs[0] += math.log(NO_SYSTEMATIC * SYSTEMATIC_STEPS)
     prior = (NO_SYSTEMATIC + 1.0) * SYSTEMATIC_STEPS
-    most = logs.max()
+    most = logs[0]
+    for k in range(1, SYSTEMATIC_STEPS + 1):
+        most = max(most, logs[k])
     weight = mean = 0.0
     for k in range(SYSTEMATIC_STEPS + 1):
         likely = math.exp(logs[k] - most)
         weight += likely
         mean += likely * variances[k]
     return mean / weight, -2.0 * (most + math.log(weight / prior))
+
+
+@compiled
+def _largest(table, column):
+    """The largest number of a column of a table (n, m) of numbers that are not negative."""
+    largest = 0.0
+    for k in range(table.shape[0]):
+        largest = max(largest, table[k, column])
+    return largest
 
 
 @compiled
@@ -327,7 +338,7 @@ def solve_robots(
             # Residuals beyond the spots' noise: whatever causes them counts as noise of every spot.
             own[:count] = w
             extra, _ = _systematic(both[better], both_t[better], p, seen[better, :count], w, focal)
-            share = extra * (w[:, 0].max() + w[:, 2].max())
+            share = extra * (_largest(w, 0) + _largest(w, 2))
             if share < NEGLIGIBLE:
                 break
             is_slight = share < SLIGHT

@@ -421,13 +421,17 @@ def _region_boxes(image, labels, regions, n_regions, whole, boxes, cut):
 @compiled
 def _ring_quartile(image, x0, x1, y0, y1):
     """The lower quartile of a window's outermost pixels: its surroundings, whatever shines into it from one side."""
-    values = np.empty(2 * (x1 - x0) + 2 * (y1 - y0))
+    counts = np.zeros(256, np.int64)
     count = 0
     for y in range(y0, y1):
         for x in range(x0, x1, 1 if y in (y0, y1 - 1) else x1 - x0 - 1):
-            values[count] = image[y, x]
+            counts[image[y, x]] += 1
             count += 1
-    return np.partition(values[:count], count // 4)[count // 4]
+    level, below = 0, counts[0]
+    while below <= count // 4:
+        level += 1
+        below += counts[level]
+    return float(level)
 
 
 @compiled
