@@ -56,7 +56,9 @@ class _PartCompiler(compiler.Compiler):
 
 
 class _Cache(caching.FunctionCache):
-    """numba's cache of a function, in a folder of ours; what cannot be written is not kept."""
+    """numba's cache of a function, in a folder of ours. What cannot be written is not kept; what cannot be read, cut off
+    when the power went, is not there.
+    """
 
     def __init__(self, function: Callable[..., Any], folder: Path) -> None:
         class Locator(caching.UserProvidedCacheLocator):
@@ -76,11 +78,25 @@ class _Cache(caching.FunctionCache):
 
     def holds(self, args: Types, codegen: Any) -> bool:
         """Whether the machine code for these types is on disk."""
-        return self._index_key(args, codegen) in self._cache_file._load_index()
+        with contextlib.suppress(Exception):
+            return self._index_key(args, codegen) in self._cache_file._load_index()
+        return False
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        with contextlib.suppress(Exception):
+            return super().load_overload(sig, target_context)
+        return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        with contextlib.suppress(OSError):
+        try:
             super().save_overload(sig, data)
+        except OSError:
+            pass
+        except Exception:
+            # An index that cannot be read is replaced.
+            with contextlib.suppress(OSError):
+                self.flush()
+                super().save_overload(sig, data)
 
 
 class Kernel(CPUDispatcher):

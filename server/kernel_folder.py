@@ -14,18 +14,19 @@ import platform
 import shutil
 import sys
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numba
 from llvmlite import binding as llvm
 
+HERE = Path(__file__).resolve().parent
 LABEL = "made-for.json"
 FORGOTTEN_DAYS = 60.0  # without a start, after which a folder is taken for somebody's who is gone
 
 
-def made_for() -> dict[str, str]:
-    """Everything that the machine code depends on, by name."""
-    server = Path(__file__).resolve().parent
+def made_for(server: Path = HERE) -> dict[str, str]:
+    """Everything that the machine code of the copy in that folder depends on, by name."""
     contents = hashlib.sha256()
     for module in sorted(server.rglob("*.py")):
         text = module.read_bytes()
@@ -100,3 +101,22 @@ def _write(file: Path, text: str) -> None:
     part = file.with_suffix(f".{os.getpid()}")
     part.write_text(text, encoding="utf-8")
     part.replace(file)
+
+
+@contextlib.contextmanager
+def alone(wait: Callable[[], None]) -> Iterator[None]:
+    """One start at a time compiles, and another one, which calls ``wait`` first, waits for what it leaves.
+
+    Where there are no locks both compile: each file is written at once, so that neither harms the other.
+    """
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(ImportError, OSError):
+            import fcntl
+
+            file = stack.enter_context((kernel_folder() / "lock").open("w"))
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                wait()
+                fcntl.flock(file, fcntl.LOCK_EX)
+        yield

@@ -22,7 +22,7 @@ from asterism.server.calibration.lens.plots import coverage_png, residuals_png
 from asterism.server.calibration.lens.targets import Target, parse_target
 from asterism.server.calibration.result_file import check_result_file, write_result_file
 from asterism.server.chain.frame import Frame
-from asterism.server.chain.warm_up import warm_up
+from asterism.server.chain.warm_up import FINDING, warm_up
 from asterism.server.command.progress import progress
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source
@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
     target = parse_target(options.target)
     source = open_source(options.source, None, say)
     if target.kind == "leds":
-        warm_up()
+        warm_up(*FINDING)
     search = _Search(target)
     if source.live:
         _watch(source, search)

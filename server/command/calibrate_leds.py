@@ -14,7 +14,7 @@ from asterism.server.calibration.leds.calibration import LedCalibration, calibra
 from asterism.server.calibration.result_file import check_result_file, write_result_file
 from asterism.server.calibration.rewrite import relocate, rewrite
 from asterism.server.chain.frame import Frame
-from asterism.server.chain.warm_up import warm_up
+from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.progress import progress
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
         quiet = True
         yield from progress(source.frames(), source.length, next(rounds))
 
-    warm_up()
+    warm_up(*localizing(rig))
     found = calibrate_leds(rig, options.robot, frames, options.source, options.distance)
     robot = rig.robot(options.robot)
     leds = found.adjusted.leds.round(DECIMALS) + 0.0

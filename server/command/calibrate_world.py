@@ -19,7 +19,7 @@ from asterism.server.calibration.survey.survey import read_survey
 from asterism.server.calibration.survey.surveyed import pair
 from asterism.server.calibration.survey.world import WorldFit, fit_world, without_world
 from asterism.server.calibration.survey.world_board import View, fit_board
-from asterism.server.chain.warm_up import warm_up
+from asterism.server.chain.warm_up import FINDING, localizing, warm_up
 from asterism.server.command.progress import progress
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
@@ -54,7 +54,7 @@ def _from_survey(options: argparse.Namespace, rig: Rig) -> tuple[Pose, Floats]:
     survey = read_survey(options.truth, [robot.id for robot in rig.robots], orientations=False)
     rig = without_world(rig)
     source = open_source(options.source, rig, say)
-    warm_up()
+    warm_up(*localizing(rig))
     seen = [
         (frame.name, sightings)
         for frame, sightings in progress(observe(source.frames(), rig), source.length, "localizing")
@@ -114,7 +114,8 @@ def _tell(fit: WorldFit) -> None:
 def _from_target(options: argparse.Namespace, rig: Rig) -> tuple[Pose, Floats]:
     target = parse_target(options.target)
     source = open_source(options.source, rig, say)
-    warm_up()
+    if target.kind == "leds":
+        warm_up(*FINDING)
     views, count = [], 0
     for frame in progress(source.frames(), source.length, "looking for the target"):
         count += 1

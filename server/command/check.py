@@ -10,6 +10,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from asterism.protocol.rig import load_rig
+from asterism.server.chain.kernel_list import CHECK
+from asterism.server.chain.warm_up import warm_up
 from asterism.server.design.pose_bounds import Bound
 from asterism.server.design.rig_check import KINDS, SIGMA_PX, TYPICAL_DEG, RigCheck, check_rig
 from asterism.server.design.telling_apart import SIGMAS
@@ -21,6 +23,7 @@ MOST_ROWS = 12  # robots that are listed
 def run(options: argparse.Namespace) -> int:
     """Print separations, pose conditioning, flip risk and a verdict."""
     rig = load_rig(options.rig)
+    warm_up(CHECK)
     found = check_rig(rig, (lambda what: say(f"{what} ...")) if len(rig.robots) > MOST_ROWS else (lambda _: None))
     console = Console()
     if not console.is_terminal:

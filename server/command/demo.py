@@ -13,7 +13,7 @@ from asterism.protocol.codec import encode_rig
 from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
 from asterism.protocol.rig import load_rig
 from asterism.recordings.recorder import Recorder
-from asterism.server.chain.warm_up import warm_up
+from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.service.publish import Publisher
 from asterism.server.service.serve import Stop, serve, stop_on_signals
 from asterism.server.simulation.demo_rig import DEMO_RIG
@@ -32,7 +32,7 @@ def run(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         session: zenoh.Session = open_server(options.listen, options.connect, options.zenoh)
         publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig)))
-        warm_up()
+        warm_up(*localizing(rig, "sim"))
         source = Simulated(rig, look=LOOK)
         table, drawn = RobotTable(), threading.Event()
         stack.callback(table.subscribe(session).clear)

@@ -10,6 +10,8 @@ from rich.table import Table
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import parse_rig
+from asterism.server.chain.kernel_list import DESIGN
+from asterism.server.chain.warm_up import warm_up
 from asterism.server.design.drill_plan import drill_plan
 from asterism.server.design.page import pdf, svg
 from asterism.server.design.plate_design import FOCAL_PX, LED_RADIUS, RIM, Design, Request, design
@@ -24,7 +26,8 @@ def run(options: argparse.Namespace) -> int:
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: exists already, expected a new or empty folder")
     request = Request(options.robots, options.disc, options.spacing, options.distance, options.sigma)
-    say("searching (some ten seconds; the first time on a machine half a minute) ...")
+    warm_up(DESIGN)
+    say("searching (some ten seconds) ...")
     found = design(request)
     rig, camera = rig_text(found), camera_text()
     parse_rig(rig, camera, str(out))

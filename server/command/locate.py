@@ -14,7 +14,7 @@ from asterism.protocol.rig import load_rig
 from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.chain.pipeline import localize
 from asterism.server.chain.smooth import Motions, smooth
-from asterism.server.chain.warm_up import warm_up
+from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.progress import progress
 from asterism.server.pose.solve import PoseEstimate
 from asterism.server.pose.track import Tracks
@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> int:
     say_warnings(rig)
     refuse_endless(options.source, "locate")
     source = open_source(options.source, rig, say)
-    warm_up()
+    warm_up(*localizing(rig, options.source))
     encoder = msgspec.json.Encoder()
     tracks, motions = Tracks.none(), Motions.none()
     with _output(options.out) as out:

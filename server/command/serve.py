@@ -8,7 +8,7 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
 from asterism.protocol.rig import load_rig
 from asterism.recordings.recorder import Recorder
-from asterism.server.chain.warm_up import warm_up
+from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.service.publish import Publisher
 from asterism.server.service.say import say, say_warnings
 from asterism.server.service.serve import Sink, Stop, serve, stop_on_signals
@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         session = open_server(options.listen, options.connect, options.zenoh)
         publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig)))
-        warm_up()
+        warm_up(*localizing(rig, options.source))
         sinks: tuple[Sink, ...] = ()
         if options.rerun:
             from asterism.server.service.live_view import LiveView
