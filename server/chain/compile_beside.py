@@ -4,6 +4,7 @@ It reads its share as one line of JSON, numbers in the list of kernels, and writ
 done. When whoever started it is gone, so is it.
 """
 
+import contextlib
 import gc
 import json
 import os
@@ -44,23 +45,19 @@ def compile_beside(shares: Sequence[Sequence[Entry]]) -> Generator[Entry, None, 
     """Each kernel once it is on disk. A process that dies leaves its rest undone; none outlives this generator."""
     whole = kernel_list()
     done: queue.Queue[Entry | None] = queue.Queue()
-    workers: list[subprocess.Popen[str]] = []
-    try:
+    with contextlib.ExitStack() as stack:
         for share in shares:
-            workers.append(_start())
-            threading.Thread(target=_listen, args=(workers[-1], whole, done), daemon=True).start()
-            _tell(workers[-1], [whole.index(entry) for entry in share])
-        running = len(workers)
+            worker = _start()
+            stack.callback(_end, worker)
+            threading.Thread(target=_listen, args=(worker, whole, done), daemon=True).start()
+            _tell(worker, [whole.index(entry) for entry in share])
+        running = len(shares)
         while running:
             entry = done.get()
             if entry is None:
                 running -= 1
             else:
                 yield entry
-    finally:
-        for worker in workers:
-            worker.kill()
-            worker.wait()
 
 
 def _start() -> "subprocess.Popen[str]":
@@ -78,18 +75,25 @@ def _start() -> "subprocess.Popen[str]":
 
 def _tell(worker: "subprocess.Popen[str]", numbers: list[int]) -> None:
     assert worker.stdin is not None
-    try:
+    with contextlib.suppress(OSError):  # if it died already, its listener notices
         worker.stdin.write(json.dumps(numbers) + "\n")
         worker.stdin.flush()
-    except OSError:
-        pass  # it died already, which its listener notices
 
 
 def _listen(worker: "subprocess.Popen[str]", whole: Sequence[Entry], done: "queue.Queue[Entry | None]") -> None:
     assert worker.stdout is not None
-    for line in worker.stdout:
-        done.put(whole[int(line)])
+    with worker.stdout:
+        for line in worker.stdout:
+            done.put(whole[int(line)])
     done.put(None)
+
+
+def _end(worker: "subprocess.Popen[str]") -> None:
+    assert worker.stdin is not None
+    worker.kill()
+    worker.wait()
+    with contextlib.suppress(OSError):
+        worker.stdin.close()
 
 
 def main() -> None:

@@ -59,7 +59,7 @@ def start(cache: Path, *words: str, **options: Any) -> "subprocess.Popen[str]":
     environment = {**os.environ, "XDG_CACHE_HOME": str(cache), **options.pop("env", {})}
     environment.pop("NUMBA_CACHE_DIR", None)
     return subprocess.Popen(
-        [sys.executable, "-c", START, *words],
+        [sys.executable, "-W", "error", "-c", START, *words],
         env=environment,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
