@@ -56,8 +56,9 @@ class _PartCompiler(compiler.Compiler):
 
 
 class _Cache(caching.FunctionCache):
-    """numba's cache of a function, in a folder of ours. What cannot be written is not kept; what cannot be read, cut off
-    when the power went, is not there.
+    """numba's cache of a function, in a folder of ours.
+
+    What cannot be written is not kept; what cannot be read, cut off when the power went, is not there.
     """
 
     def __init__(self, function: Callable[..., Any], folder: Path) -> None:

@@ -4,6 +4,7 @@ The list is kernels.json, a line each; `python -m tests.measure.first_start writ
 test says when that is due. A kernel that is missing there is compiled when it is first called.
 """
 
+import contextlib
 import functools
 import importlib
 import json
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from numba import types
+from numba.core.errors import NumbaError
 
 from asterism.server.kernel import Kernel
 
@@ -43,8 +45,12 @@ class Entry(NamedTuple):
         return self.dispatcher.is_kept(tuple(map(type_of, self.arguments)))
 
     def make_ready(self) -> None:
-        """Load its machine code from the disk, or compile it."""
-        self.dispatcher.compile(tuple(map(type_of, self.arguments)))
+        """Load its machine code from the disk, or compile it.
+
+        Where the list is not up to date and the types do not fit, it is compiled when it is first called.
+        """
+        with contextlib.suppress(NumbaError, TypeError):
+            self.dispatcher.compile(tuple(map(type_of, self.arguments)))
 
 
 @functools.cache

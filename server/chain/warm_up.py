@@ -34,17 +34,17 @@ def warm_up(*needs: str) -> None:
                 _compile([entry for entry in entries if not entry.is_kept()])
         else:
             _say(f"nothing can be kept for the next start ({problem})")
-            _compile(entries, beside=False)
+            _compile(entries, kept=False)
     for entry in entries:
         entry.make_ready()
 
 
-def _compile(missing: Sequence[Entry], beside: bool = True) -> None:
-    """On all cores; what the processes beside this one leave undone, here."""
+def _compile(missing: Sequence[Entry], kept: bool = True) -> None:
+    """On all cores, where it can be kept on disk; what the processes beside this one leave undone, here."""
     left = list(missing)
-    with _told(missing) as tell:
+    with _told(missing, kept) as tell:
         shares = divide(missing, cores())
-        if beside and len(shares) > 1:
+        if kept and len(shares) > 1:
             with contextlib.closing(compile_beside(shares)) as done:
                 for entry in done:
                     left.remove(entry)
@@ -55,29 +55,33 @@ def _compile(missing: Sequence[Entry], beside: bool = True) -> None:
 
 
 @contextlib.contextmanager
-def _told(missing: Sequence[Entry]) -> Iterator[Callable[[Entry], None]]:
+def _told(missing: Sequence[Entry], kept: bool) -> Iterator[Callable[[Entry], None]]:
     """Say how far it is: a bar that counts kernels on a terminal, else a line before and one after."""
     if not missing:
         yield lambda _: None
         return
     console, began = Console(stderr=True), time.monotonic()
-    what = f"compiling {len(missing)} kernels for this machine (only the first time)"
+    kernels = "1 kernel" if len(missing) == 1 else f"{len(missing)} kernels"
     if console.is_terminal:
-        columns = (TextColumn("compiling for this machine, once"), BarColumn(), TextColumn("{task.fields[count]}"))
+        columns = (
+            TextColumn(f"compiling for this machine{', once' * kept}"),
+            BarColumn(),
+            TextColumn("{task.fields[count]}"),
+        )
         with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as bar:
             count = 0
-            task = bar.add_task("", total=sum(entry.seconds for entry in missing), count=f"0 of {len(missing)} kernels")
+            task = bar.add_task("", total=sum(entry.seconds for entry in missing), count=f"0 of {kernels}")
 
             def tell(entry: Entry) -> None:
                 nonlocal count
                 count += 1
-                bar.update(task, advance=entry.seconds, count=f"{count} of {len(missing)} kernels")
+                bar.update(task, advance=entry.seconds, count=f"{count} of {kernels}")
 
             yield tell
     else:
-        _say(f"{what}; about a minute ...")
+        _say(f"compiling {kernels} for this machine{', only the first time' * kept} (up to a minute or two) ...")
         yield lambda _: None
-    _say(f"compiled {len(missing)} kernels in {time.monotonic() - began:.0f} s; the next start has them")
+    _say(f"compiled {kernels} in {time.monotonic() - began:.0f} s{'; the next start has them' * kept}")
 
 
 def _say(text: str) -> None:

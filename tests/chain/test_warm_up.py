@@ -90,7 +90,7 @@ def test_both_cores_work_and_the_next_start_is_silent(tmp_path: Path) -> None:
     assert kept(tmp_path) == NAMES
     lines = said.splitlines()
     assert len(lines) == 2
-    assert lines[0].startswith("asterism: compiling 4 kernels for this machine")
+    assert lines[0].startswith("asterism: compiling 4 kernels for this machine, only the first time")
     assert lines[1].startswith("asterism: compiled 4 kernels in ")
     assert ended(start(tmp_path)) == ([], "")
 
@@ -142,6 +142,7 @@ def test_where_nothing_can_be_kept_it_works_and_says_so(tmp_path: Path) -> None:
     workers, said = ended(start(tmp_path / "file"))
     assert workers == []
     assert f"asterism: nothing can be kept for the next start ({tmp_path / 'file' / 'asterism'}" in said
+    assert "next start has" not in said
     assert "compiled 4 kernels" in said
 
 
