@@ -13,9 +13,10 @@ from asterism.server.chain.warm_up import warm_up
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _compiled() -> None:
-    """No test's clock or output is disturbed by what happens only at the first start on a machine."""
-    warm_up(BLOBS, *ESTIMATORS, LOCALIZE, SIMULATE, CHECK, DESIGN)
+def _compiled(pytestconfig: pytest.Config) -> None:
+    """No test's clock or output is disturbed by what happens only at the first start on a machine, which is shown."""
+    with pytestconfig.pluginmanager.getplugin("capturemanager").global_and_fixture_disabled():
+        warm_up(BLOBS, *ESTIMATORS, LOCALIZE, SIMULATE, CHECK, DESIGN)
 
 
 @pytest.fixture(scope="session", autouse=True)

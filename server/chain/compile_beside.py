@@ -42,16 +42,22 @@ def divide(entries: Sequence[Entry], count: int) -> list[list[Entry]]:
 
 
 def compile_beside(shares: Sequence[Sequence[Entry]]) -> Generator[Entry, None, None]:
-    """Each kernel once it is on disk. A process that dies leaves its rest undone; none outlives this generator."""
+    """Each kernel once it is on disk. A process that dies, or cannot be started, leaves its rest undone; none outlives
+    this generator.
+    """
     whole = kernel_list()
     done: queue.Queue[Entry | None] = queue.Queue()
     with contextlib.ExitStack() as stack:
+        running = 0
         for share in shares:
-            worker = _start()
+            try:
+                worker = _start()
+            except OSError:
+                continue
+            running += 1
             stack.callback(_end, worker)
             threading.Thread(target=_listen, args=(worker, whole, done), daemon=True).start()
             _tell(worker, [whole.index(entry) for entry in share])
-        running = len(shares)
         while running:
             entry = done.get()
             if entry is None:

@@ -47,6 +47,8 @@ def told():
     return worker
 
 compile_beside._start = told
+if "nowhere" in sys.argv:
+    compile_beside.sys.executable = "/nowhere/python"
 compile_beside.LEAST_SECONDS = 1e-3
 warm_up.cores = lambda: 2
 warm_up.kernel_list = lambda: [entry for entry in kernel_list() if entry.kernel in {SMALL}]
@@ -98,6 +100,13 @@ def test_both_cores_work_and_the_next_start_is_silent(tmp_path: Path) -> None:
 def test_a_process_that_dies_does_not_break_the_start(tmp_path: Path) -> None:
     workers, said = ended(start(tmp_path, "kill"))
     assert len(workers) == 2
+    assert kept(tmp_path) == NAMES
+    assert "compiled 4 kernels" in said
+
+
+def test_without_processes_it_compiles_all_the_same(tmp_path: Path) -> None:
+    workers, said = ended(start(tmp_path, "nowhere"))
+    assert workers == []
     assert kept(tmp_path) == NAMES
     assert "compiled 4 kernels" in said
 
