@@ -36,7 +36,6 @@ from asterism.server.chain.kernel_list import (
     kernel_list,
     text_of,
 )
-from asterism.server.chain.warm_up import warm_up
 from asterism.server.identity.plan import plan_for
 from asterism.server.kernel import Kernel
 from asterism.server.pose.lens import undistort
@@ -89,15 +88,15 @@ def design() -> None:
     search(Request(2, 0.1, 0.012, 1.5, 0.05))
 
 
-def called() -> dict[tuple[str, str], list[Any]]:
+def called() -> set[tuple[str, str]]:
     """Every kernel that Python has called in this process, by module and name, with the types, as JSON."""
-    found: dict[tuple[str, str], list[Any]] = {}
+    found = set()
     for module in [module for name, module in sorted(sys.modules.items()) if name.startswith(PACKAGE)]:
         for name, value in vars(module).items():
             if isinstance(value, Kernel) and value.py_func.__module__ == module.__name__:
                 for types in value.overloads:
                     key = f"{module.__name__.removeprefix(PACKAGE)}.{name}"
-                    found[key, json.dumps([text_of(kind) for kind in types])] = []
+                    found.add((key, json.dumps([text_of(kind) for kind in types])))
     return found
 
 
@@ -116,13 +115,19 @@ def needs_in(scenario: str) -> tuple[str, ...]:
 
 
 def verify(scenario: str) -> dict[str, Any]:
-    """Warm up for a scenario and run it: the kernels that were compiled in spite of that, and those that it called."""
-    warm_up(*needs_in(scenario))
-    listed = {(entry.kernel, json.dumps(entry.arguments)) for entry in kernel_list()}
+    """Run a scenario after all is warmed up: what was compiled in spite of that, what it called that is not in the
+    list, and what the list has it need that it did not call.
+    """
     listener = Compiled()
     event.register("numba:compile", listener)
     SCENARIOS[scenario]()
-    return {"compiled": listener.names, "not listed": [key for key in called() if key not in listed]}
+    needed = [entry for entry in kernel_list() if not entry.needs.isdisjoint(needs_in(scenario))]
+    listed = {(entry.kernel, json.dumps(entry.arguments)) for entry in needed}
+    return {
+        "compiled": listener.names,
+        "not listed": sorted(called() - listed),
+        "for nobody": sorted(listed - called()),
+    }
 
 
 class Compiled(event.Listener):  # type: ignore[misc]
@@ -174,29 +179,32 @@ def _save(lines: list[dict[str, Any]]) -> None:
 def seconds() -> list[dict[str, Any]]:
     """Of every kernel in the list, compiled in turn: processor time, and that of its parts, each without its own."""
     taken: list[dict[str, Any]] = []
-
-    class Listener(event.Listener):  # type: ignore[misc]
-        running: list[list[float]] = []  # noqa: RUF012
-
-        def on_start(self, _: Any) -> None:
-            self.running.append([time.process_time(), 0.0])
-
-        def on_end(self, happened: Any) -> None:
-            began, inner = self.running.pop()
-            took = time.process_time() - began
-            if self.running:
-                self.running[-1][1] += took
-            name = happened.data["dispatcher"].py_func
-            taken[-1]["parts"][f"{name.__module__.removeprefix(PACKAGE)}.{name.__name__}"] += took - inner
-
-    listener = Listener()
-    event.register("numba:compile", listener)
     for entry in kernel_list():
-        taken.append({"kernel": entry.kernel, "parts": defaultdict(float)})
+        listener = Timed()
+        event.register("numba:compile", listener)
         began = time.process_time()
         entry.make_ready()
-        taken[-1]["whole"] = time.process_time() - began
+        taken.append({"kernel": entry.kernel, "whole": time.process_time() - began, "parts": listener.taken})
+        event.unregister("numba:compile", listener)
     return taken
+
+
+class Timed(event.Listener):  # type: ignore[misc]
+    """Processor time that numba takes for each function, without what it takes for those that it calls."""
+
+    def __init__(self) -> None:
+        self.taken: dict[str, float] = defaultdict(float)
+        self._running: list[list[float]] = []
+
+    def on_start(self, _: Any) -> None:
+        self._running.append([time.process_time(), 0.0])
+
+    def on_end(self, happened: Any) -> None:
+        began, inner = self._running.pop()
+        took = time.process_time() - began
+        if self._running:
+            self._running[-1][1] += took
+        self.taken[happened.data["dispatcher"].py_func.__name__] += took - inner
 
 
 def in_empty_cache(word: str) -> Any:
@@ -234,8 +242,8 @@ def measure() -> None:
     taken = in_empty_cache("seconds")
     print(f"all {len(taken)} kernels in one process: {sum(entry['whole'] for entry in taken):.1f} s; the ten longest:")
     for entry in sorted(taken, key=lambda entry: -entry["whole"])[:10]:
-        parts = sorted(entry["parts"].items(), key=lambda part: -part[1])[:4]
-        told = ", ".join(f"{name.rpartition('.')[2]} {took:.2f}" for name, took in parts)
+        parts = sorted(entry["parts"].items(), key=lambda part: -part[1])[:3]
+        told = ", ".join(f"{name} {took:.2f}" for name, took in parts)
         print(f"  {entry['whole']:6.2f} s  {entry['kernel']}: {told}")
 
 
