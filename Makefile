@@ -2,6 +2,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
+# On a terminal pip shows each package and a bar; elsewhere (CI) only what goes wrong.
+PIP_SAYS := $(shell test -t 2 || echo --quiet)
+
 .DEFAULT_GOAL := help
 .PHONY: help demo test check format bench docs proto clean
 
@@ -11,8 +14,10 @@ help: ## list the words
 .venv/installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "make: $(PYTHON) is older than Python 3.11; name a newer one: make PYTHON=python3.12"; exit 2; }
 	@test -x $(BIN)/python || { echo "making .venv ..."; $(PYTHON) -m venv .venv || { echo "make: $(PYTHON) has no venv module (Debian: apt install python3-venv)"; exit 2; }; }
-	@echo "installing asterism and what it needs into .venv ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[all,dev]'
+	@echo "installing asterism and what it needs into .venv: about 1 GB to download the first time, most of it the viewer;"
+	@echo "a few minutes on a fast line ..."
+	@$(BIN)/python -m pip install $(PIP_SAYS) --disable-pip-version-check --editable '.[all,dev]'
+	@echo "installed."
 	@touch $@
 
 demo: .venv/installed ## five simulated robots: localized, published, recorded, watched

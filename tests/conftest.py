@@ -7,13 +7,16 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from asterism.protocol.rig import ESTIMATORS
+from asterism.server.chain.kernel_list import BLOBS, CHECK, DESIGN, LOCALIZE, SIMULATE
 from asterism.server.chain.warm_up import warm_up
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _compiled() -> None:
-    """No test's clock or output is disturbed by what happens only at the first start on a machine."""
-    warm_up()
+def _compiled(pytestconfig: pytest.Config) -> None:
+    """No test's clock or output is disturbed by what happens only at the first start on a machine, which is shown."""
+    with pytestconfig.pluginmanager.getplugin("capturemanager").global_and_fixture_disabled():
+        warm_up(BLOBS, *ESTIMATORS, LOCALIZE, SIMULATE, CHECK, DESIGN)
 
 
 @pytest.fixture(scope="session", autouse=True)

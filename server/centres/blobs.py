@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import Fate
-from asterism.server.centres.centre import ESTIMATOR_NUMBERS, refine_centres
+from asterism.server.centres.centre import refine_centres
 from asterism.server.segmentation.segment import Scratch, describe, segment
 
 Ints = NDArray[np.int64]
@@ -55,7 +55,7 @@ def find_blobs(
     n = segment(image, largest_radius_px, masks, scratch)
     spots = scratch.spots[:n].copy()
     centres, covariances = np.empty((n, 2)), np.empty((n, 3))
-    refine_centres(image, spots, ESTIMATOR_NUMBERS[estimator], centres, covariances)
+    refine_centres(image, spots, estimator, centres, covariances)
     heights, radii = np.empty(n), np.empty(n)
     fates, robots, leds = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
     describe(spots, heights, radii, fates, robots, leds)

@@ -3,13 +3,17 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
+from asterism.protocol.geometry import Floats
 from asterism.server.centres.clip import fit_clip
 from asterism.server.centres.edge_model import BLUR_PX, edge_room, fit_edge_model
 from asterism.server.centres.grey_square import fit_grey_square
 from asterism.server.centres.leaning import fit_leaning
 from asterism.server.centres.zernike import fit_zernike
 from asterism.server.compiled import compiled
+from asterism.server.segmentation.order import ascending
+from asterism.server.segmentation.pixels import room_for
 from asterism.server.segmentation.spot_table import (
     AT_EDGE,
     FATE,
@@ -29,8 +33,6 @@ from asterism.server.segmentation.spot_table import (
     X,
     Y,
 )
-
-ESTIMATOR_NUMBERS = {"edge-model": 0, "grey-square": 1, "clip": 2, "zernike": 3}
 
 GAIN = 0.035  # expected variance per grey level of light: a sensor of 7000 electrons at grey level 255
 GAIN_SIGMA = 0.02  # how well that is known before a frame's own residuals have told
@@ -85,66 +87,141 @@ def _neighbours_of(spots, order, place, widest, neighbours, other):
 
 
 @compiled
-def refine_centres(image, spots, estimator, centres, covariances):
-    """Fill ``centres`` (n, 2) px and ``covariances`` (n, 3) xx, xy, yy px^2 of the rows of the spot table.
-
-    Rejected spots keep the coarse centre of the table, with covariance 0. Spots that other light leans on get their
-    SHOULDER set and their covariance widened by it. The covariances are those of the shot noise that the residuals
-    of all clean spots together show.
+def _survey(spots, centres, covariances):
+    """Set all to the coarse centre; returns the spots' order by x, the widest semi-axis, the cells of the largest
+    window, and what is expected of the sensor's gain (2,): weighted, and its weight.
     """
-    n = spots.shape[0]
-    order = np.argsort(spots[:, X])
-    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(9)
     widest, largest = 0.0, 0.0
-    for k in range(n):
-        widest = max(widest, spots[k, SEMI_A])
-        if spots[k, FATE] == UNEXPLAINED:
-            largest = max(largest, (spots[k, WX1] - spots[k, WX0]) * (spots[k, WY1] - spots[k, WY0]))
-    room = edge_room(largest)
-    # The expected gain counts as much as a measurement of that sigma.
-    told, weight = 2.0 * GAIN / GAIN_SIGMA**2, 2.0 / GAIN_SIGMA**2
-    for place in range(n):
-        k = order[place]
+    for k in range(spots.shape[0]):
         spot = spots[k]
         centres[k, 0], centres[k, 1] = spot[X], spot[Y]
-        covariances[k, :] = 0.0
-        if spot[FATE] != UNEXPLAINED:
-            continue
-        count = _neighbours_of(spots, order, place, widest, neighbours, other)
-        if estimator == 0:
-            fit_edge_model(image, spot, neighbours[:count], GAIN, room, out)
-        elif estimator == 1:
-            fit_grey_square(image, spot, neighbours[:count], GAIN, out)
-        elif estimator == 2:
-            fit_clip(image, spot, neighbours[:count], GAIN, room.pixels, out)
-        else:
-            fit_zernike(image, spot, neighbours[:count], GAIN, out)
-        if out[5] > ONE_SIDED or other[2] > 0.0:
-            spot[SHOULDER] = max(spot[SHOULDER], UNEXPLAINED_LIGHT_PX)
-        elif out[6] > STRANGE_MISFIT:
-            shift = min(MISFIT_SHIFT_PX * math.sqrt(out[6] - 1.0), UNEXPLAINED_LIGHT_PX)
-            spot[SHOULDER] = max(spot[SHOULDER], shift)
-        elif estimator == 0 and out[6] < GOOD_MISFIT and out[5] < EVEN and spot[TOUCHING] == 0.0:
-            spot[SHOULDER] = 0.0  # the moments were misled, by saturation or by noise
-        round_enough = spot[SEMI_B] >= max(LEAST_TELLING_PX, ROUND * spot[SEMI_A])
-        if out[6] < CLEAN_MISFIT and spot[SHOULDER] == 0.0 and (estimator != 0 or round_enough):
-            told += out[7]
-            weight += out[8]
-        spot[MISFIT] = out[6]
-        centres[k, 0], centres[k, 1] = out[0], out[1]
-        covariances[k, 0], covariances[k, 1], covariances[k, 2] = out[2], out[3], out[4]
-    gain = max(told / weight, 0.1 * GAIN)
-    for k in range(n):
+        for i in range(3):
+            covariances[k, i] = 0.0
+        widest = max(widest, spot[SEMI_A])
+        if spot[FATE] == UNEXPLAINED:
+            largest = max(largest, (spot[WX1] - spot[WX0]) * (spot[WY1] - spot[WY0]))
+    # The expected gain counts as much as a measurement of that sigma.
+    gain = np.empty(2)
+    gain[0], gain[1] = 2.0 * GAIN / GAIN_SIGMA**2, 2.0 / GAIN_SIGMA**2
+    return ascending(spots[:, X]), widest, largest, gain
+
+
+@compiled
+def _take(spot, out, other, knows_misfit, centre, covariance, gain):
+    """Write what an estimator found (``out`` as in `edge_model.fit_edge_model`) of a spot; clean ones add to ``gain``.
+
+    ``knows_misfit``: the estimator tells how well its model fits.
+    """
+    if out[5] > ONE_SIDED or other[2] > 0.0:
+        spot[SHOULDER] = max(spot[SHOULDER], UNEXPLAINED_LIGHT_PX)
+    elif out[6] > STRANGE_MISFIT:
+        shift = min(MISFIT_SHIFT_PX * math.sqrt(out[6] - 1.0), UNEXPLAINED_LIGHT_PX)
+        spot[SHOULDER] = max(spot[SHOULDER], shift)
+    elif knows_misfit and out[6] < GOOD_MISFIT and out[5] < EVEN and spot[TOUCHING] == 0.0:
+        spot[SHOULDER] = 0.0  # the moments were misled, by saturation or by noise
+    round_enough = spot[SEMI_B] >= max(LEAST_TELLING_PX, ROUND * spot[SEMI_A])
+    if out[6] < CLEAN_MISFIT and spot[SHOULDER] == 0.0 and (not knows_misfit or round_enough):
+        gain[0] += out[7]
+        gain[1] += out[8]
+    spot[MISFIT] = out[6]
+    centre[0], centre[1] = out[0], out[1]
+    covariance[0], covariance[1], covariance[2] = out[2], out[3], out[4]
+
+
+@compiled
+def _scale(spots, covariances, gain):
+    """Make the covariances those of the gain that the spots showed; returns it."""
+    found = max(gain[0] / gain[1], 0.1 * GAIN)
+    for k in range(spots.shape[0]):
         spot = spots[k]
         if spot[FATE] != UNEXPLAINED:
             continue
         # What matters is the noise at the spot's edge, half way up.
         read, light = spot[NOISE] ** 2, 0.5 * min(spot[HEIGHT], 255.0)
-        scale = (read + gain * light) / (read + GAIN * light)
-        covariances[k, :] *= scale
+        scale = (read + found * light) / (read + GAIN * light)
+        for i in range(3):
+            covariances[k, i] *= scale
         # Light that pulls the foot of the profile pulls the fitted centre about as far.
         covariances[k, 0] += spot[SHOULDER] ** 2
         covariances[k, 2] += spot[SHOULDER] ** 2
+    return found
+
+
+# A kernel for every estimator, so that only the one that a rig asks for is compiled.
+
+
+@compiled
+def _refine_edge_model(image, spots, centres, covariances):
+    order, widest, largest, gain = _survey(spots, centres, covariances)
+    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(9)
+    room = edge_room(largest)
+    for place in range(order.shape[0]):
+        k = order[place]
+        if spots[k, FATE] == UNEXPLAINED:
+            count = _neighbours_of(spots, order, place, widest, neighbours, other)
+            fit_edge_model(image, spots[k], neighbours[:count], GAIN, room, out)
+            _take(spots[k], out, other, True, centres[k], covariances[k], gain)
+    return _scale(spots, covariances, gain)
+
+
+@compiled
+def _refine_grey_square(image, spots, centres, covariances):
+    order, widest, _, gain = _survey(spots, centres, covariances)
+    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(9)
+    for place in range(order.shape[0]):
+        k = order[place]
+        if spots[k, FATE] == UNEXPLAINED:
+            count = _neighbours_of(spots, order, place, widest, neighbours, other)
+            fit_grey_square(image, spots[k], neighbours[:count], GAIN, out)
+            _take(spots[k], out, other, False, centres[k], covariances[k], gain)
+    return _scale(spots, covariances, gain)
+
+
+@compiled
+def _refine_clip(image, spots, centres, covariances):
+    order, widest, largest, gain = _survey(spots, centres, covariances)
+    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(9)
+    pixels = room_for(largest)
+    for place in range(order.shape[0]):
+        k = order[place]
+        if spots[k, FATE] == UNEXPLAINED:
+            count = _neighbours_of(spots, order, place, widest, neighbours, other)
+            fit_clip(image, spots[k], neighbours[:count], GAIN, pixels, out)
+            _take(spots[k], out, other, False, centres[k], covariances[k], gain)
+    return _scale(spots, covariances, gain)
+
+
+@compiled
+def _refine_zernike(image, spots, centres, covariances):
+    order, widest, _, gain = _survey(spots, centres, covariances)
+    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(9)
+    for place in range(order.shape[0]):
+        k = order[place]
+        if spots[k, FATE] == UNEXPLAINED:
+            count = _neighbours_of(spots, order, place, widest, neighbours, other)
+            fit_zernike(image, spots[k], neighbours[:count], GAIN, out)
+            _take(spots[k], out, other, False, centres[k], covariances[k], gain)
+    return _scale(spots, covariances, gain)
+
+
+REFINERS = {
+    "edge-model": _refine_edge_model,
+    "grey-square": _refine_grey_square,
+    "clip": _refine_clip,
+    "zernike": _refine_zernike,
+}
+
+
+def refine_centres(
+    image: NDArray[np.uint8], spots: Floats, estimator: str, centres: Floats, covariances: Floats
+) -> float:
+    """Fill ``centres`` (n, 2) px and ``covariances`` (n, 3) xx, xy, yy px^2 of the rows of the spot table.
+
+    ``estimator`` is one of protocol.rig.ESTIMATORS. Rejected spots keep the coarse centre of the table, with covariance
+    0. Spots that other light leans on get their SHOULDER set and their covariance widened by it. The covariances are
+    those of the shot noise that the residuals of all clean spots together show; returns that gain.
+    """
+    gain: float = REFINERS[estimator](image, spots, centres, covariances)
     return gain
 
 
@@ -156,7 +233,7 @@ def refine_leaning(image, spots, rows, centres, covariances):
     many were.
     """
     changed = 0
-    order = np.argsort(spots[:, X])
+    order = ascending(spots[:, X])
     places = np.empty(spots.shape[0], np.int64)
     widest = 0.0
     for place in range(order.shape[0]):

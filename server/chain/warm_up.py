@@ -1,45 +1,88 @@
-"""Compile the chain before it is needed: the first time on a machine that takes a while, and is said."""
+"""Compile kernels before they are needed: the first time on a machine that takes a while, and is said."""
 
 import contextlib
 import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
 
-from asterism.protocol.rig import ESTIMATORS, load_rig
-from asterism.server.compiled import cache_folder
+from numba import config
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from asterism.protocol.rig import ESTIMATORS, Rig
+from asterism.server.chain.compile_beside import compile_beside, cores, divide
+from asterism.server.chain.kernel_list import BLOBS, LOCALIZE, SIMULATE, Entry, kernel_list
+from asterism.server.kernel_folder import alone, open_folder
+
+FINDING = BLOBS, ESTIMATORS[0]  # what finding the spots of a calibration target needs
 
 
-def warm_up() -> None:
-    """Run every compiled function once; what is compiled is kept on disk for the next start."""
-    done = cache_folder() / "complete"
-    if not done.exists():
-        print(
-            "compiling the chain for this machine (only the first time; about a minute) ...",
-            file=sys.stderr,
-            flush=True,
+def localizing(rig: Rig, source: str = "") -> tuple[str, ...]:
+    """What `localize` needs for a rig, and what the named source of frames needs, if it is `sim`."""
+    return BLOBS, rig.centre, LOCALIZE, *((SIMULATE,) if source == "sim" else ())
+
+
+def warm_up(*needs: str) -> None:
+    """Make every kernel ready that is needed for any of ``needs``; what is compiled is kept on disk."""
+    if config.DISABLE_JIT:
+        return
+    entries = [entry for entry in kernel_list() if not entry.needs.isdisjoint(needs)]
+    problem = open_folder()
+    if not all(entry.is_kept() for entry in entries):
+        if problem is None:
+            with alone(lambda: _say("another start is compiling; waiting for it ...")):
+                _compile([entry for entry in entries if not entry.is_kept()])
+        else:
+            _say(f"nothing can be kept for the next start ({problem})")
+            _compile(entries, kept=False)
+    for entry in entries:
+        entry.make_ready()
+
+
+def _compile(missing: Sequence[Entry], kept: bool = True) -> None:
+    """On all cores, where it can be kept on disk; what the processes beside this one leave undone, here."""
+    left = list(missing)
+    with _told(missing, kept) as tell:
+        shares = divide(missing, cores())
+        if kept and len(shares) > 1:
+            with contextlib.closing(compile_beside(shares)) as done:
+                for entry in done:
+                    left.remove(entry)
+                    tell(entry)
+        for entry in left:
+            entry.make_ready()
+            tell(entry)
+
+
+@contextlib.contextmanager
+def _told(missing: Sequence[Entry], kept: bool) -> Iterator[Callable[[Entry], None]]:
+    """Say how far it is: a bar that counts kernels on a terminal, else a line before and one after."""
+    if not missing:
+        yield lambda _: None
+        return
+    console, began = Console(stderr=True), time.monotonic()
+    kernels = "1 kernel" if len(missing) == 1 else f"{len(missing)} kernels"
+    if console.is_terminal:
+        columns = (
+            TextColumn(f"compiling for this machine{', once' * kept}"),
+            BarColumn(),
+            TextColumn("{task.fields[count]}"),
         )
-    _run()
-    # Where nothing can be kept, the next start says so again.
-    with contextlib.suppress(OSError):
-        done.touch()
+        with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as bar:
+            count = 0
+            task = bar.add_task("", total=sum(entry.seconds for entry in missing), count=f"0 of {kernels}")
+
+            def tell(entry: Entry) -> None:
+                nonlocal count
+                count += 1
+                bar.update(task, advance=entry.seconds, count=f"{count} of {kernels}")
+
+            yield tell
+    else:
+        _say(f"compiling {kernels} for this machine{', only the first time' * kept} (up to a minute or two) ...")
+        yield lambda _: None
+    _say(f"compiled {kernels} in {time.monotonic() - began:.0f} s{'; the next start has them' * kept}")
 
 
-def _run() -> None:
-    from dataclasses import replace
-
-    from asterism.server.chain.frame import Frame
-    from asterism.server.chain.pipeline import localize
-    from asterism.server.pose.track import Tracks
-    from asterism.server.simulation.demo_rig import DEMO_RIG
-    from asterism.server.simulation.simulate import Look, Scene
-
-    rig = load_rig(DEMO_RIG)
-    # Hidden LEDs and glints make sure that the rarer paths (rivals, touching spots) are compiled as well.
-    scene = Scene(rig, seed=1, look=Look(hidden=0.05, glints=20))
-    tracks = Tracks.none()
-    for index in range(2):
-        image = scene.render(index, scene.truth(index, index / 60.0))
-        for estimator in ESTIMATORS:
-            frame = Frame(image, index * 16_666_667 + 1, index)
-            _, after = localize(frame, replace(rig, centre=estimator), tracks)
-        tracks = after
-    four = [replace(entry, lit=(True,) * 4 + (False,) * 2) for entry in scene.truth(2, 0.0)]
-    localize(Frame(scene.render(2, four), 1, 2), rig, Tracks.none())
+def _say(text: str) -> None:
+    print(f"asterism: {text}", file=sys.stderr, flush=True)

@@ -23,7 +23,7 @@ from asterism.server.calibration.lens.plots import coverage_png, residuals_png
 from asterism.server.calibration.lens.targets import Target, parse_target
 from asterism.server.calibration.result_file import check_result_file
 from asterism.server.chain.frame import Frame
-from asterism.server.chain.warm_up import warm_up
+from asterism.server.chain.warm_up import FINDING, warm_up
 from asterism.server.command.calibrate import TARGET, add_source_and_out
 from asterism.server.command.progress import progress, working
 from asterism.server.output import new_file
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     target = parse_target(options.target)
     source = open_source(options.source, None, say)
     if target.kind == "leds":
-        warm_up()
+        warm_up(*FINDING)
     search = _Search(target)
     if source.live:
         _watch(source, search)

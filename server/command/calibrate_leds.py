@@ -28,7 +28,7 @@ from asterism.server.calibration.leds.gauge import Gauge
 from asterism.server.calibration.result_file import check_result_file, write_result_file
 from asterism.server.calibration.rewrite import annotate, relocate, rewrite
 from asterism.server.chain.frame import Frame
-from asterism.server.chain.warm_up import warm_up
+from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.calibrate import add_source_and_out
 from asterism.server.command.number_arguments import positive
 from asterism.server.command.progress import progress, working
@@ -100,7 +100,7 @@ def run(options: argparse.Namespace) -> int:
         yield from progress(source.frames(), source.length, next(rounds))
         fitting.enter_context(working(next(rounds)))
 
-    warm_up()
+    warm_up(*localizing(rig))
     robot = rig.robot(options.robot)
     gauge = Gauge(robot.leds, options.distance, options.frame)
     with fitting:

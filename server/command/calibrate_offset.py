@@ -16,7 +16,7 @@ from asterism.server.calibration.rewrite import number
 from asterism.server.calibration.survey.offset import BAND_DEG, FEWEST_POSES, OffsetCalibration, calibrate_offset
 from asterism.server.calibration.survey.survey import read_survey
 from asterism.server.calibration.survey.surveyed import check_survey, pair
-from asterism.server.chain.warm_up import warm_up
+from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.calibrate import TRUTH, add_source_and_out
 from asterism.server.command.number_arguments import positives
 from asterism.server.command.progress import progress, working
@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
     rig = load_rig(options.rig)
     survey = read_survey(options.truth, [robot.id for robot in rig.robots])
     source = open_source(options.source, rig, say)
-    warm_up()
+    warm_up(*localizing(rig))
     seen = [
         (frame.name, sightings)
         for frame, sightings in progress(observe(source.frames(), rig), source.length, "localizing")

@@ -26,7 +26,7 @@ from asterism.server.calibration.survey.surveyed import pair
 from asterism.server.calibration.survey.world import WorldFit, fit_world, without_world
 from asterism.server.calibration.survey.world_board import fit_board
 from asterism.server.calibration.survey.world_lens import spread_by_lens
-from asterism.server.chain.warm_up import warm_up
+from asterism.server.chain.warm_up import FINDING, localizing, warm_up
 from asterism.server.command.calibrate import TARGET, TRUTH, add_source_and_out
 from asterism.server.command.progress import progress, working
 from asterism.server.service.say import say
@@ -101,7 +101,7 @@ def _from_survey(options: argparse.Namespace, rig: Rig, lens: Floats) -> tuple[P
     survey = read_survey(options.truth, [robot.id for robot in rig.robots], orientations=False)
     rig = without_world(rig)
     source = open_source(options.source, rig, say)
-    warm_up()
+    warm_up(*localizing(rig))
     seen = [
         (frame.name, sightings)
         for frame, sightings in progress(observe(source.frames(), rig), source.length, "localizing")
@@ -165,7 +165,8 @@ def _from_target(options: argparse.Namespace, rig: Rig, lens: Floats) -> tuple[P
     target = parse_target(options.target)
     refuse_symmetric(target)
     source = open_source(options.source, rig, say)
-    warm_up()
+    if target.kind == "leds":
+        warm_up(*FINDING)
     views, count = [], 0
     for frame in progress(source.frames(), source.length, "looking for the target"):
         count += 1

@@ -26,7 +26,7 @@ from asterism.server.calibration.survey.super_plane import LEAST_GAIN, SuperPlan
 from asterism.server.calibration.survey.survey import read_survey
 from asterism.server.calibration.survey.surveyed import Pairs, check_spread, check_survey, pair
 from asterism.server.calibration.survey.surveyed_fit import errors_of
-from asterism.server.chain.warm_up import warm_up
+from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.calibrate import TRUTH, add_source_and_out
 from asterism.server.command.progress import progress, working
 from asterism.server.service.say import say
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
     rig = replace(given, z_correction=None)
     survey = read_survey(options.truth, [robot.id for robot in rig.robots])
     source = open_source(options.source, rig, say)
-    warm_up()
+    warm_up(*localizing(rig))
     seen = [
         (frame.name, sightings)
         for frame, sightings in progress(observe(source.frames(), rig), source.length, "localizing")

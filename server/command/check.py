@@ -10,6 +10,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from asterism.protocol.rig import load_rig
+from asterism.server.chain.kernel_list import CHECK
+from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.progress import working
 from asterism.server.design.pose_bounds import Bound
 from asterism.server.design.rig_check import KINDS, SIGMA_PX, TYPICAL_DEG, RigCheck, check_rig
@@ -28,6 +30,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print separations, pose conditioning, flip risk and a verdict."""
     rig = load_rig(options.rig)
+    warm_up(CHECK)
     with working("checking") as now:
         found = check_rig(rig, now)
     console = Console()

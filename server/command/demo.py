@@ -16,7 +16,7 @@ from asterism.protocol.network import open_server
 from asterism.protocol.program import typed
 from asterism.protocol.rig import load_rig
 from asterism.recordings.recorder import Recorder
-from asterism.server.chain.warm_up import warm_up
+from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.number_arguments import positive
 from asterism.server.command.shared_arguments import add_server, add_smoothing, client_words, named
 from asterism.server.output import check_folder_of_many
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         session: zenoh.Session = open_server(options.listen, options.connect, options.zenoh)
         publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig)))
-        warm_up()
+        warm_up(*localizing(rig, "sim"))
         stack.enter_context(stop_on_signals(stop))
         source = Simulated(rig, look=LOOK)
         table, drawn = RobotTable(), threading.Event()

@@ -10,6 +10,8 @@ from rich.table import Table
 from asterism.protocol.geometry import Floats
 from asterism.protocol.program import typed
 from asterism.protocol.rig import parse_rig
+from asterism.server.chain.kernel_list import DESIGN
+from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.number_arguments import count, positive
 from asterism.server.command.progress import interruptible, working
 from asterism.server.command.shared_arguments import add_out
@@ -38,6 +40,7 @@ def run(options: argparse.Namespace) -> int:
     out: Path = options.out
     check_folder(out, options.force)
     request = Request(options.robots, options.disc, options.spacing, options.distance, options.sigma)
+    warm_up(DESIGN)
     with working("searching"):
         found = interruptible(lambda: design(request))
     rig, camera = rig_text(found), camera_text()

@@ -18,7 +18,7 @@ from asterism.protocol.rig import Rig, load_rig
 from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.chain.pipeline import localize
 from asterism.server.chain.smooth import Motions, smooth
-from asterism.server.chain.warm_up import warm_up
+from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.shared_arguments import FINITE_SOURCE, add_out, add_smoothing
 from asterism.server.output import check_file, new_file
 from asterism.server.pose.solve import PoseEstimate
@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     say_warnings(rig)
     refuse_endless(options.source, "locate")
     source = open_source(options.source, rig, say)
-    warm_up()
+    warm_up(*localizing(rig, options.source))
     encoder, stop = msgspec.json.Encoder(), Stop()
     tally = Tally(robot.id for robot in rig.robots)
     adviser = Adviser(rig, tally, say)

@@ -64,6 +64,10 @@ def run(options: argparse.Namespace) -> int:
             )
         prefix = "" if options.as_live else PREFIX
         publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig), prefix))
+        if options.solve is not None:
+            from asterism.server.chain.warm_up import localizing, warm_up
+
+            warm_up(*localizing(rig))
         stack.enter_context(stop_on_signals(stop))
         where = options.connect or options.listen or options.zenoh or DEFAULT_ENDPOINT
         say(f"replaying {options.recording} at {where} under {prefix}asterism/{rig.camera.name}")
@@ -89,10 +93,8 @@ def _solved(recording: Recording, rig: Rig) -> Iterator[Message]:
     from asterism.server.chain.frame import Frame
     from asterism.server.chain.pipeline import localize
     from asterism.server.chain.report import report
-    from asterism.server.chain.warm_up import warm_up
     from asterism.server.pose.track import Tracks
 
-    warm_up()
     tracks = Tracks.none()
     for image, exposed_ns, index in recording.frames():
         check_image_size(rig.camera, image.shape[1], image.shape[0], f"{recording.path}, frame {index}")

@@ -17,7 +17,7 @@ from asterism.server.budget.uncertainty import FILE, Uncertainty, own_path, read
 from asterism.server.budget.workspace import Budget, budget_of
 from asterism.server.calibration.leds.observations import observe
 from asterism.server.calibration.survey.survey import match_frames, read_survey
-from asterism.server.chain.warm_up import warm_up
+from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.calibrate import TRUTH
 from asterism.server.command.progress import progress, working
 from asterism.server.command.shared_arguments import FINITE_SOURCE, add_out
@@ -76,7 +76,7 @@ def _compare(rig: Rig, truth: Path, source_name: str, uncertainty: Uncertainty, 
     survey = read_survey(truth, [robot.id for robot in rig.robots])
     refuse_endless(source_name, "report")
     source = open_source(source_name, rig, say)
-    warm_up()
+    warm_up(*localizing(rig))
     seen = [
         (frame.name, sightings)
         for frame, sightings in observe(progress(source.frames(), source.length, "localizing"), rig)

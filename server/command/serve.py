@@ -9,7 +9,7 @@ from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.recorder import Recorder
-from asterism.server.chain.warm_up import warm_up
+from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.number_arguments import count, positive
 from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing, named
 from asterism.server.output import check_folder_of_many
@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         session = open_server(options.listen, options.connect, options.zenoh)
         publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig)))
-        warm_up()
+        warm_up(*localizing(rig, options.source))
         stack.enter_context(stop_on_signals(stop))
         sinks: tuple[Sink, ...] = ()
         if options.rerun:

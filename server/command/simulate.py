@@ -11,6 +11,8 @@ import msgspec
 from asterism.protocol.errors import InputError
 from asterism.protocol.rig import Rig, load_rig
 from asterism.protocol.yaml_file import parse_yaml
+from asterism.server.chain.kernel_list import SIMULATE
+from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.number_arguments import count, positive, share, whole
 from asterism.server.command.progress import progress
 from asterism.server.command.shared_arguments import add_force, named
@@ -51,6 +53,7 @@ def run(options: argparse.Namespace) -> int:
     files = _files(Path(options.rig), rig)
     rate = options.rate or rig.capture.rate_hz or DEFAULT_RATE_HZ
     shown = rig if options.hand is None else _alone(rig, options.hand)
+    warm_up(SIMULATE)
     scene = Scene(shown, options.seed, Look(hidden=options.hide, glints=options.glints))
     encoder = msgspec.json.Encoder()
     with new_folder(out, options.force) as made:

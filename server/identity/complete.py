@@ -7,6 +7,7 @@ import numpy as np
 from asterism.server.compiled import compiled
 from asterism.server.identity.neighbours import first_from
 from asterism.server.pose.fit import LEDS
+from asterism.server.segmentation.order import ascending
 
 HEIGHT_RATIO, RADIUS_RATIO = 0.2, 0.4  # least ratio of heights and of radii among the spots of a robot
 
@@ -34,7 +35,7 @@ class Four(NamedTuple):
 @compiled
 def by_x(flat):
     """`ByX` of spots (n, 2)."""
-    order = np.argsort(flat[:, 0])
+    order = ascending(flat[:, 0])
     return ByX(order, flat[order, 0])
 
 

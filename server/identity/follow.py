@@ -10,11 +10,13 @@ import math
 import numpy as np
 
 from asterism.server.compiled import compiled
+from asterism.server.identity.neighbours import first_from
 from asterism.server.pose.fit import LEDS, SYSTEMATIC_PX, fit_room
 from asterism.server.pose.planar import NO_SOLUTION, refine_pose
 from asterism.server.pose.rotations import mapped
 from asterism.server.pose.spot_shift import has_offset, spot_shifts
 from asterism.server.pose.track import HEIGHT, predict, predict_room
+from asterism.server.segmentation.order import ascending
 
 WIDEST_GATE = 0.25  # of a constellation's image; beyond that a prediction is no help
 GATHER_PX = 1.5  # a found robot's missing LED is looked for this near to its place
@@ -63,7 +65,7 @@ def _claim(spots, constellations, expected, gates, brightness, focal, assignment
     """Fill ``assignment`` (m, 6): every LED takes the nearest free spot of like ``brightness`` (m,) within its gate."""
     flat, free, heights = spots.flat, spots.free, spots.heights
     n = flat.shape[0]
-    order = np.argsort(flat[:, 0])
+    order = ascending(flat[:, 0])
     xs = flat[order, 0]
     wanted_by = np.full(n, -1)
     wanted_at = np.full(n, np.inf)
@@ -83,7 +85,7 @@ def _claim(spots, constellations, expected, gates, brightness, focal, assignment
                 continue
             px, py = focal * (x / z + shifts[led, 0]), -focal * (y / z + shifts[led, 1])
             best, best2 = -1, gate * gate
-            place = np.searchsorted(xs, px - gate)
+            place = first_from(xs, px - gate)
             while place < n and xs[place] <= px + gate:
                 spot = order[place]
                 place += 1

@@ -7,6 +7,7 @@ import numpy as np
 
 from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
+from asterism.server.segmentation.order import ascending
 
 
 class Spots(NamedTuple):
@@ -39,7 +40,7 @@ def nearest_neighbours(spots, ranks, reaches, least_height, least_radius, most):
     flat, usable, heights, radii = spots.flat, spots.free, spots.heights, spots.radii
     n = flat.shape[0]
     lists, counts = np.empty((n, most), np.int32), np.zeros(n, np.int32)
-    order = np.argsort(flat[:, 0])
+    order = ascending(flat[:, 0])
     distances = np.empty(most)
     for place in range(n):
         i = order[place]

@@ -25,6 +25,7 @@ from asterism.server.identity.neighbours import Neighbours, Spots, nearest_neigh
 from asterism.server.identity.plan import MOST_TILT, Plan
 from asterism.server.identity.quads import LookedUp, QuadTable, View, look_up, room_to_look_up
 from asterism.server.pose.fit import CHI2, LEDS, SYSTEMATIC_PX, FitRoom, fit_labelled, fit_room, median_of, misfit
+from asterism.server.segmentation.order import ascending
 
 # Passes: least ratio of heights and of radii, nearest neighbours that are combined.
 ALIKE_HEIGHT, ALIKE_RADIUS, ALIKE_DEPTHS = 0.5, 0.75, (6, 10)
@@ -228,7 +229,7 @@ def search(spots, sought, limits, results):
     Returns the number of quads tried.
     """
     n = spots.flat.shape[0]
-    by_height = np.argsort(-spots.heights)
+    by_height = ascending(-spots.heights)
     ranks = np.empty(n, np.int64)
     ranks[by_height] = np.arange(n)
     # An LED's spot tells how near it is, and so how far the others may be.

@@ -198,6 +198,15 @@ def _both_minima(robot, solution, focal, work, count):
 
 
 @compiled
+def _largest(table, column):
+    """The largest number of a column of a table (n, m) of numbers that are not negative."""
+    largest = 0.0
+    for k in range(table.shape[0]):
+        largest = max(largest, table[k, column])
+    return largest
+
+
+@compiled
 def _refine_both(robot, measured, solution, focal, work):
     """Fill both minima of a robot, costs as of `refine_pose`, and leave ``work`` as they saw the spots.
 
@@ -225,7 +234,7 @@ def _refine_both(robot, measured, solution, focal, work):
         work.own[:count] = work.information[:count]
         lit = _lit(work, better, count, work.information)
         extra, _ = systematic(rotations[better], ts[better], lit, focal)
-        share = extra * (lit.information[:, 0].max() + lit.information[:, 2].max())
+        share = extra * (_largest(lit.information, 0) + _largest(lit.information, 2))
         if share < NEGLIGIBLE:
             break
         is_slight = share < SLIGHT

@@ -58,7 +58,9 @@ def systematic(rotation, t, lit, focal):
     logs = -0.5 * (squares + (2 * n - 6) / (2.0 * n) * np.log(growth))
     logs[0] += math.log(NO_SYSTEMATIC * SYSTEMATIC_STEPS)
     prior = (NO_SYSTEMATIC + 1.0) * SYSTEMATIC_STEPS
-    most = logs.max()
+    most = logs[0]
+    for k in range(1, SYSTEMATIC_STEPS + 1):
+        most = max(most, logs[k])
     weight = mean = 0.0
     for k in range(SYSTEMATIC_STEPS + 1):
         likely = math.exp(logs[k] - most)

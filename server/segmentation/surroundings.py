@@ -93,10 +93,14 @@ def ring_background(pixels, n, box, guess, noise, rise):
 def ring_quartile(image, box):
     """The lower quartile of a window's outermost pixels: its surroundings, whatever shines into it from one side."""
     x0, x1, y0, y1 = box
-    values = np.empty(2 * (x1 - x0) + 2 * (y1 - y0))
+    counts = np.zeros(256, np.int64)
     count = 0
     for y in range(y0, y1):
         for x in range(x0, x1, 1 if y in (y0, y1 - 1) else x1 - x0 - 1):
-            values[count] = image[y, x]
+            counts[image[y, x]] += 1
             count += 1
-    return np.partition(values[:count], count // 4)[count // 4]
+    level, below = 0, counts[0]
+    while below <= count // 4:
+        level += 1
+        below += counts[level]
+    return float(level)

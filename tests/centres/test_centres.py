@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import ESTIMATORS
-from asterism.server.centres.centre import ESTIMATOR_NUMBERS, GAIN, refine_centres, refine_leaning
+from asterism.server.centres.centre import GAIN, REFINERS, refine_centres, refine_leaning
 from asterism.server.segmentation.spot_table import MISFIT, SHOULDER, X, Y
 from tests.centres.rendering import Canvas
 from tests.segmentation.test_segmentation import blobs_of
@@ -125,14 +125,13 @@ def test_an_estimator_without_misfit_marks_no_spot_as_strange(rng: np.random.Gen
     image = Canvas.of(80, 80).ellipse(40.2, 39.7, 4.5).expose(rng)
     spots = blobs_of(image).table
     spots[:, [SHOULDER, MISFIT]] = 0.0
-    gain = refine_centres(image, spots, ESTIMATOR_NUMBERS[estimator], np.empty((1, 2)), np.empty((1, 3)))
+    gain = refine_centres(image, spots, estimator, np.empty((1, 2)), np.empty((1, 3)))
     np.testing.assert_array_equal(spots[:, [SHOULDER, MISFIT]], 0.0)
     assert gain == pytest.approx(GAIN)
 
 
 def test_every_estimator_of_the_rig_has_a_number() -> None:
-    assert sorted(ESTIMATOR_NUMBERS) == sorted(ESTIMATORS)
-    assert sorted(ESTIMATOR_NUMBERS.values()) == list(range(len(ESTIMATORS)))
+    assert sorted(REFINERS) == sorted(ESTIMATORS)
 
 
 @pytest.mark.parametrize("away", [4.5, 5.5, 7.0])

@@ -23,7 +23,7 @@ from rich.table import Table
 from asterism.protocol.geometry import Pose, angle_between
 from asterism.protocol.rig import load_rig
 from asterism.recordings.reader import Recording
-from asterism.server.chain.warm_up import warm_up
+from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.chain.judging import truth_of
 from tests.servers import Subscriber, asterism, free_endpoint, open_router, running
@@ -91,7 +91,7 @@ def robots_table(folder: Path, received: list[dict[str, Any]]) -> Table:
 def main(folder: Path, work: Path) -> None:
     """Measure and print."""
     console = Console(width=100)
-    warm_up()
+    warm_up(*localizing(load_rig(DEMO_RIG)))
     endpoint, memory, ended = free_endpoint(), [], threading.Event()
     with running(
         *("serve", folder / "rig.yaml", folder / "frames", "--listen", endpoint),
