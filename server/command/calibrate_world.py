@@ -25,7 +25,7 @@ from asterism.server.calibration.survey.survey import read_survey
 from asterism.server.calibration.survey.surveyed import pair
 from asterism.server.calibration.survey.world import WorldFit, fit_world, without_world
 from asterism.server.calibration.survey.world_board import fit_board
-from asterism.server.calibration.survey.world_lens import spread_by_lens
+from asterism.server.calibration.survey.world_lens import through_lens
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.calibrate import TARGET, TRUTH, add_source_and_out
 from asterism.server.command.progress import progress, working
@@ -111,7 +111,7 @@ def _from_survey(options: argparse.Namespace, rig: Rig, lens: Floats) -> tuple[P
         say(remark)
     pairs = paired.pairs
     with working("fitting the camera's place"):
-        fit = fit_world(pairs, str(options.truth))
+        fit, of_lens = through_lens(fit_world(pairs, str(options.truth)), rig, lens)
     _tell(fit)
     axes = [fit.T_world_camera.rotation @ s.pose.rotation @ rig.robot(s.robot).axis for s, _ in pairs]
     if np.median([axis[2] for axis in axes]) < 0.0:
@@ -124,8 +124,7 @@ def _from_survey(options: argparse.Namespace, rig: Rig, lens: Floats) -> tuple[P
             f"warning: the surveyed orientations differ from those seen by {np.degrees(fit.survey_sigma_rad):.0f} "
             "degrees (one sigma); are they T_world_robot, x y z w?"
         )
-    of_lens = spread_by_lens(fit, rig, lens)
-    return fit.T_world_camera, fit.covariance + of_lens, of_lens
+    return fit.T_world_camera, fit.covariance, of_lens
 
 
 def _tell(fit: WorldFit) -> None:

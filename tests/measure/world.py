@@ -20,7 +20,7 @@ from asterism.server.calibration.lens.fit import CameraFit, fit_camera
 from asterism.server.calibration.lens.targets import parse_target
 from asterism.server.calibration.survey.world import fit_world
 from asterism.server.calibration.survey.world_board import fit_board
-from asterism.server.calibration.survey.world_lens import spread_by_lens
+from asterism.server.calibration.survey.world_lens import through_lens
 from tests.calibration.lens.boards import Lens, poses
 from tests.calibration.survey.surveys import survey_pairs
 from tests.helpers import facing_pose, random_pose
@@ -88,8 +88,10 @@ def by_robots(lens: CameraFit, rng: np.random.Generator) -> tuple[Floats, Floats
     given = replace(rig, camera=lens.camera)
     there = [facing_pose(rng, (0.9, 1.4), (15.0, 50.0)) for _ in range(12)]
     fit = fit_world(survey_pairs(replace(rig, T_world_camera=T), given, there, rng), "survey")
-    of_lens, alone = (spread_by_lens(fit, given, c) for c in (lens.covariance, np.diag(np.diag(lens.covariance))))
-    return _error(fit.T_world_camera, T), fit.covariance + of_lens, fit.covariance, fit.covariance + alone
+    whole, alone = (
+        through_lens(fit, given, c)[0].covariance for c in (lens.covariance, np.diag(np.diag(lens.covariance)))
+    )
+    return _error(fit.T_world_camera, T), whole, fit.covariance, alone
 
 
 def _error(found: Pose, true: Pose) -> Floats:

@@ -1,4 +1,13 @@
-"""What the lens' own error does to a camera placed by robots at surveyed places."""
+"""What the lens' own error does to a camera placed by robots at surveyed places.
+
+All samples are seen through one lens: its error does not average out. Part of it looks like a move of the camera, the
+rest stays in the residuals, where `fit_world` takes it for the survey's. So the survey's variances are found again, as
+those which together with the lens make the squared residuals as large as they are (method of moments), and the weights
+that the fit had give the covariance of its result (the "sandwich": Huber, "The behavior of maximum likelihood estimates
+under nonstandard conditions", 1967).
+"""
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -6,17 +15,58 @@ from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import Rig
 from asterism.server.calibration.lens.bundle import pixels_by_lens
 from asterism.server.calibration.lens.lens_error import pose_by_lens
-from asterism.server.calibration.survey.world import Sample, WorldFit, camera_by_samples
+from asterism.server.calibration.survey.world import WorldFit
+from asterism.server.calibration.survey.world_table import (
+    POSITION,
+    ROTATION,
+    Sample,
+    Table,
+    residuals_of,
+    spreads_of,
+    weighted_by_pose,
+)
 
 STEP = 1e-6  # m, of numeric derivatives
 
 
-def spread_by_lens(fit: WorldFit, rig: Rig, lens: Floats) -> Floats:
-    """The part (6, 6) of the covariance of T_world_camera, m and rad about the world's axes, that all samples share,
-    since they are seen through one lens; ``lens`` (p, p) is the covariance of its fx, fy, cx, cy and coefficients.
+def through_lens(fit: WorldFit, rig: Rig, lens: Floats) -> tuple[WorldFit, Floats]:
+    """The fit with a covariance and survey's sigmas that know of the lens, and the part (6, 6) of the covariance, m and
+    rad about the world's axes, that is the lens'; ``lens`` (p, p) is the covariance of fx, fy, cx, cy and coefficients.
     """
-    moved = camera_by_samples(fit, np.array([_seen_by_lens(sample, rig) for sample in fit.samples]))
-    return moved @ lens @ moved.T
+    table, T = Table.of(fit.samples)[fit.used], fit.T_world_camera
+    sigmas = (fit.survey_sigma_m, fit.survey_sigma_rad)
+    by_pose, weighted = weighted_by_pose(table, T, sigmas)
+    to_camera = np.linalg.inv((weighted @ by_pose).sum(axis=0)) @ weighted  # (n, 6, 6)
+    seen = np.array([_seen_by_lens(sample, rig) for sample, used in zip(fit.samples, fit.used, strict=True) if used])
+    by_lens = -np.kron(np.eye(2), T.rotation) @ seen  # (n, 6, p), of the residuals
+    moved = (to_camera @ by_lens).sum(axis=0)
+    left = by_lens - by_pose @ moved
+    survey = tuple(
+        _survey_sigma(fit, table, part, np.einsum("nij,jk,nlk->nil", left, lens, left)) for part in (POSITION, ROTATION)
+    )
+    spreads = spreads_of(table, T, (survey[0], survey[1]))
+    own = (to_camera @ spreads @ np.swapaxes(to_camera, 1, 2)).sum(axis=0)
+    of_lens = moved @ lens @ moved.T
+    told = replace(fit, covariance=own + of_lens, survey_sigma_m=survey[0], survey_sigma_rad=survey[1])
+    return told, of_lens
+
+
+def _survey_sigma(fit: WorldFit, table: Table, part: slice, of_lens: Floats) -> float:
+    """The survey's sigma when the lens left residuals of covariance ``of_lens`` (n, 6, 6) beside it."""
+    sigmas = (fit.survey_sigma_m, fit.survey_sigma_rad)
+    rows = np.ones(len(table.seen), np.bool_) if part == POSITION else table.oriented
+    if sigmas[0 if part == POSITION else 1] == 0.0 or not rows.any():
+        return 0.0
+    off = residuals_of(table, fit.T_world_camera)[rows, part]
+    own, seen = (spreads_of(table, fit.T_world_camera, each)[rows, part, part] for each in (sigmas, (0.0, 0.0)))
+    information = np.linalg.inv(own)
+    numbers = 3.0 * int(rows.sum())
+    free = max(numbers - (6.0 if part == POSITION else 0.0), 1.0) / numbers
+    found = np.einsum("ni,nij,nj->", off, information, off) - np.einsum(
+        "nij,nji->", information, of_lens[rows, part, part]
+    )
+    unexplained = found / free - np.einsum("nij,nji->", information, seen)
+    return float(np.sqrt(max(unexplained, 0.0) / np.einsum("nii->", information)))
 
 
 def _seen_by_lens(sample: Sample, rig: Rig) -> Floats:

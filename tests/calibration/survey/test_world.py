@@ -23,7 +23,7 @@ from asterism.server.calibration.lens.targets import parse_target
 from asterism.server.calibration.survey.survey import SurveyedPose
 from asterism.server.calibration.survey.world import fit_world
 from asterism.server.calibration.survey.world_board import fit_board
-from asterism.server.calibration.survey.world_lens import spread_by_lens
+from asterism.server.calibration.survey.world_lens import through_lens
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.calibration.lens.boards import Lens, poses
 from tests.calibration.survey.surveys import survey_pairs
@@ -309,8 +309,8 @@ def test_a_camera_placed_by_robots_is_as_far_off_as_it_says_with_a_lens_that_is_
         given = replace(true_rig, camera=camera)
         pairs = survey_pairs(true, given, [facing_pose(rng, (0.9, 1.4), (15.0, 50.0)) for _ in range(12)], rng)
         fit = fit_world(pairs, "survey")
-        of_lens = spread_by_lens(fit, given, covariance)
-        with_lens.append(weighted_error(fit.T_world_camera, fit.covariance + of_lens, T))
+        told, _ = through_lens(fit, given, covariance)
+        with_lens.append(weighted_error(fit.T_world_camera, told.covariance, T))
         without.append(weighted_error(fit.T_world_camera, fit.covariance, T))
     assert 6 - 4 * np.sqrt(12 / trials) < np.mean(with_lens) < 1.15 * 6 + 4 * np.sqrt(12 / trials)
     assert np.mean(without) > 12.0
