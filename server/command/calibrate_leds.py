@@ -116,7 +116,8 @@ def run(options: argparse.Namespace) -> int:
     for line in _relative_to(adjusted, gauge, robot.T_robot_plane.rotation[:, 2]):
         print(line)
     print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else ""))
-    known = LedError(shape_sigma(adjusted), DISTANCE_SIGMA_M / options.distance[2], "calibrate leds")
+    frame = gauge.frame_sigmas(given_sigma(adjusted.leds, gauge.given))
+    known = LedError(shape_sigma(adjusted), DISTANCE_SIGMA_M / options.distance[2], "calibrate leds", *frame)
     for line in write_uncertainty_file(Path(options.rig), options.out, {options.robot: known}, options.force):
         print(line)
     return 0
@@ -128,7 +129,8 @@ def _comments(adjusted: Adjusted, gauge: Gauge) -> list[str]:
     return [
         f"positions among one another +- {1e3 * shape_sigma(adjusted):.4f} mm; scale: LEDs {gauge.distance[0]} and "
         f"{gauge.distance[1]} are {1e3 * metres:g} mm apart",
-        f"frame: {_frame(gauge)}, {_frame_sigmas(adjusted, gauge)}",
+        f"frame: {_frame(gauge)},",
+        _frame_sigmas(adjusted, gauge),
     ]
 
 

@@ -20,7 +20,7 @@ from asterism.server.calibration.lens.fit import CameraFit, fit_camera
 from asterism.server.calibration.lens.targets import parse_target
 from asterism.server.calibration.survey.world import fit_world
 from asterism.server.calibration.survey.world_board import fit_board
-from asterism.server.calibration.survey.world_lens import through_lens
+from asterism.server.calibration.survey.world_lens import with_systematic_errors
 from tests.calibration.lens.boards import Lens, poses
 from tests.calibration.survey.surveys import survey_pairs
 from tests.helpers import facing_pose, random_pose
@@ -89,7 +89,8 @@ def by_robots(lens: CameraFit, rng: np.random.Generator) -> tuple[Floats, Floats
     there = [facing_pose(rng, (0.9, 1.4), (15.0, 50.0)) for _ in range(12)]
     fit = fit_world(survey_pairs(replace(rig, T_world_camera=T), given, there, rng), "survey")
     whole, alone = (
-        through_lens(fit, given, c)[0].covariance for c in (lens.covariance, np.diag(np.diag(lens.covariance)))
+        with_systematic_errors(fit, given, c, {})[0].covariance
+        for c in (lens.covariance, np.diag(np.diag(lens.covariance)))
     )
     return _error(fit.T_world_camera, T), whole, fit.covariance, alone
 

@@ -1,15 +1,19 @@
-"""What the lens' own error does to a camera placed by robots at surveyed places.
+"""What the errors of lens and robots do to a camera placed by robots at surveyed places.
 
-All samples are seen through one lens: its error does not average out. Part of it looks like a move of the camera, the
+All samples are seen through one lens, and those of a robot share its frame and its size: such errors do not average
+out. Part of it looks like a move of the camera, the
 rest stays in the residuals, where `fit_world` takes it for the survey's. So the survey's variances are found again, as
 those which together with the lens make the squared residuals as large as they are (method of moments), and the weights
 that the fit had give the covariance of its result (the "sandwich": Huber, "The behavior of maximum likelihood estimates
 under nonstandard conditions", 1967).
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import Rig
@@ -29,30 +33,55 @@ from asterism.server.calibration.survey.world_table import (
 STEP = 1e-6  # m, of numeric derivatives
 
 
-def through_lens(fit: WorldFit, rig: Rig, lens: Floats) -> tuple[WorldFit, Floats]:
-    """The fit with a covariance and survey's sigmas that know of the lens, and the part (6, 6) of the covariance, m and
-    rad about the world's axes, that is the lens'; ``lens`` (p, p) is the covariance of fx, fy, cx, cy and coefficients.
+class RobotError(NamedTuple):
+    """One sigma of what is not known of a robot: the size of its constellation, as a share, and where its frame lies,
+    m and rad.
+    """
+
+    size_relative: float
+    frame_m: float
+    frame_rad: float
+
+
+class Shares(NamedTuple):
+    """The parts (6, 6) of the covariance of T_world_camera, m and rad about the world's axes."""
+
+    lens: Floats
+    robots: Floats
+
+
+def with_systematic_errors(
+    fit: WorldFit, rig: Rig, lens: Floats, robots: Mapping[str, RobotError]
+) -> tuple[WorldFit, Shares]:
+    """The fit with a covariance and survey's sigmas that know of lens and robots, and their shares of the covariance;
+    ``lens`` (p, p) is the covariance of fx, fy, cx, cy and coefficients.
     """
     table, T = Table.of(fit.samples)[fit.used], fit.T_world_camera
+    samples = [sample for sample, used in zip(fit.samples, fit.used, strict=True) if used]
     sigmas = (fit.survey_sigma_m, fit.survey_sigma_rad)
     by_pose, weighted = weighted_by_pose(table, T, sigmas)
     to_camera = np.linalg.inv((weighted @ by_pose).sum(axis=0)) @ weighted  # (n, 6, 6)
-    seen = np.array([_seen_by_lens(sample, rig) for sample, used in zip(fit.samples, fit.used, strict=True) if used])
-    by_lens = -np.kron(np.eye(2), T.rotation) @ seen  # (n, 6, p), of the residuals
-    moved = (to_camera @ by_lens).sum(axis=0)
-    left = by_lens - by_pose @ moved
+    seen = np.array([np.hstack([_seen_by_lens(sample, rig), _seen_by_robots(sample, robots)]) for sample in samples])
+    causes = block_diag(lens, np.eye(seen.shape[2] - len(lens)))
+    by_cause = -np.kron(np.eye(2), T.rotation) @ seen  # (n, 6, p), of the residuals
+    moved = (to_camera @ by_cause).sum(axis=0)
+    left = by_cause - by_pose @ moved
     survey = tuple(
-        _survey_sigma(fit, table, part, np.einsum("nij,jk,nlk->nil", left, lens, left)) for part in (POSITION, ROTATION)
+        _survey_sigma(fit, table, part, np.einsum("nij,jk,nlk->nil", left, causes, left))
+        for part in (POSITION, ROTATION)
     )
     spreads = spreads_of(table, T, (survey[0], survey[1]))
     own = (to_camera @ spreads @ np.swapaxes(to_camera, 1, 2)).sum(axis=0)
-    of_lens = moved @ lens @ moved.T
-    told = replace(fit, covariance=own + of_lens, survey_sigma_m=survey[0], survey_sigma_rad=survey[1])
-    return told, of_lens
+    p = len(lens)
+    shares = Shares(moved[:, :p] @ lens @ moved[:, :p].T, moved[:, p:] @ moved[:, p:].T)
+    told = replace(
+        fit, covariance=own + shares.lens + shares.robots, survey_sigma_m=survey[0], survey_sigma_rad=survey[1]
+    )
+    return told, shares
 
 
-def _survey_sigma(fit: WorldFit, table: Table, part: slice, of_lens: Floats) -> float:
-    """The survey's sigma when the lens left residuals of covariance ``of_lens`` (n, 6, 6) beside it."""
+def _survey_sigma(fit: WorldFit, table: Table, part: slice, left: Floats) -> float:
+    """The survey's sigma when the other causes left residuals of covariance ``left`` (n, 6, 6) beside it."""
     sigmas = (fit.survey_sigma_m, fit.survey_sigma_rad)
     rows = np.ones(len(table.seen), np.bool_) if part == POSITION else table.oriented
     if sigmas[0 if part == POSITION else 1] == 0.0 or not rows.any():
@@ -63,7 +92,7 @@ def _survey_sigma(fit: WorldFit, table: Table, part: slice, of_lens: Floats) -> 
     numbers = 3.0 * int(rows.sum())
     free = max(numbers - (6.0 if part == POSITION else 0.0), 1.0) / numbers
     found = np.einsum("ni,nij,nj->", off, information, off) - np.einsum(
-        "nij,nji->", information, of_lens[rows, part, part]
+        "nij,nji->", information, left[rows, part, part]
     )
     unexplained = found / free - np.einsum("nij,nji->", information, seen)
     return float(np.sqrt(max(unexplained, 0.0) / np.einsum("nii->", information)))
@@ -79,3 +108,15 @@ def _seen_by_lens(sample: Sample, rig: Rig) -> Floats:
     by_turn = by_point @ np.swapaxes(np.cross(np.eye(3), arms[:, None]), 1, 2)
     by_pose = np.concatenate([by_point, by_turn], axis=-1).reshape(-1, 6)
     return pose_by_lens(by_pose, pixels_by_lens(rig.camera, points).reshape(len(by_pose), -1))
+
+
+def _seen_by_robots(sample: Sample, robots: Mapping[str, RobotError]) -> Floats:
+    """How the robot's pose in the camera's frame moves (6, 7 robots) for one sigma of every robot's errors."""
+    moved = np.zeros((6, 7 * len(robots)))
+    for k, (robot, error) in enumerate(robots.items()):
+        if robot == sample.robot:
+            part = moved[:, 7 * k : 7 * k + 7]
+            part[:3, 0] = error.size_relative * sample.seen.position
+            part[:3, 1:4] = error.frame_m * sample.seen.rotation
+            part[3:, 4:] = error.frame_rad * sample.seen.rotation
+    return moved
