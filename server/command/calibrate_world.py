@@ -118,7 +118,7 @@ def _from_survey(
     pairs = paired.pairs
     with working("fitting the camera's place"):
         robots = {
-            name: RobotError(error.size_relative, error.frame_m, error.frame_rad)
+            name: RobotError(error.size_relative, error.frame_m, error.tilt_rad, error.turn_rad)
             for name, error in uncertainty.robots.items()
         }
         fit, shares = with_systematic_errors(fit_world(pairs, str(options.truth)), rig, lens, robots)

@@ -35,12 +35,13 @@ STEP = 1e-6  # m, of numeric derivatives
 
 class RobotError(NamedTuple):
     """One sigma of what is not known of a robot: the size of its constellation, as a share, and where its frame lies,
-    m and rad.
+    m, rad of tilt against the plate, and rad about the plate's normal.
     """
 
     size_relative: float
     frame_m: float
-    frame_rad: float
+    tilt_rad: float
+    turn_rad: float
 
 
 class Shares(NamedTuple):
@@ -61,7 +62,9 @@ def with_systematic_errors(
     sigmas = (fit.survey_sigma_m, fit.survey_sigma_rad)
     by_pose, weighted = weighted_by_pose(table, T, sigmas)
     to_camera = np.linalg.inv((weighted @ by_pose).sum(axis=0)) @ weighted  # (n, 6, 6)
-    seen = np.array([np.hstack([_seen_by_lens(sample, rig), _seen_by_robots(sample, robots)]) for sample in samples])
+    seen = np.array(
+        [np.hstack([_seen_by_lens(sample, rig), _seen_by_robots(sample, rig, robots)]) for sample in samples]
+    )
     causes = block_diag(lens, np.eye(seen.shape[2] - len(lens)))
     by_cause = -np.kron(np.eye(2), T.rotation) @ seen  # (n, 6, p), of the residuals
     moved = (to_camera @ by_cause).sum(axis=0)
@@ -110,7 +113,7 @@ def _seen_by_lens(sample: Sample, rig: Rig) -> Floats:
     return pose_by_lens(by_pose, pixels_by_lens(rig.camera, points).reshape(len(by_pose), -1))
 
 
-def _seen_by_robots(sample: Sample, robots: Mapping[str, RobotError]) -> Floats:
+def _seen_by_robots(sample: Sample, rig: Rig, robots: Mapping[str, RobotError]) -> Floats:
     """How the robot's pose in the camera's frame moves (6, 7 robots) for one sigma of every robot's errors."""
     moved = np.zeros((6, 7 * len(robots)))
     for k, (robot, error) in enumerate(robots.items()):
@@ -118,5 +121,6 @@ def _seen_by_robots(sample: Sample, robots: Mapping[str, RobotError]) -> Floats:
             part = moved[:, 7 * k : 7 * k + 7]
             part[:3, 0] = error.size_relative * sample.seen.position
             part[:3, 1:4] = error.frame_m * sample.seen.rotation
-            part[3:, 4:] = error.frame_rad * sample.seen.rotation
+            plane = sample.seen.rotation @ rig.robot(robot).T_robot_plane.rotation
+            part[3:, 4:] = plane * [error.tilt_rad, error.tilt_rad, error.turn_rad]
     return moved

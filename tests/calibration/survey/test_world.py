@@ -318,11 +318,11 @@ def test_a_camera_placed_by_robots_is_as_far_off_as_it_says_with_a_lens_that_is_
 
 def test_a_camera_is_as_far_off_as_robots_with_a_wrong_frame_and_size_make_it(rng: np.random.Generator) -> None:
     """Frames and sizes drawn anew each time, as `calibrate leds` leaves them."""
-    rig, trials, error = make_rig(1, seed=4), 30, RobotError(1e-3, 0.15e-3, 5e-3)
+    rig, trials, error = make_rig(1, seed=4), 30, RobotError(1e-3, 0.15e-3, 1e-3, 5e-3)
     known, unknown = [], []
     for _ in range(trials):
         T, robot = random_pose(rng), rig.robots[0]
-        turn = exp_rotation(error.frame_rad * rng.standard_normal(3))
+        turn = exp_rotation(rng.standard_normal(3) * [error.tilt_rad, error.tilt_rad, error.turn_rad])
         leds = (1.0 + error.size_relative * rng.standard_normal()) * robot.leds
         leds = leds @ turn.T + error.frame_m * rng.standard_normal(3)
         given = replace(rig, robots=(replace(robot, leds=leds),))
