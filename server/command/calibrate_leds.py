@@ -145,8 +145,9 @@ def _frame_sigmas(adjusted: Adjusted, gauge: Gauge, normal: Floats) -> str:
     along, across = given_sigmas(adjusted.leds, gauge.given, normal)
     shift, tilt, turn = gauge.frame_sigmas(along, across, normal)
     return (
-        f"which were off by {1e3 * along:.2f} mm an axis in the plate and {1e3 * across:.2f} mm out of it; so the frame "
-        f"may be off by {1e3 * shift:.2f} mm, tilted by {np.degrees(tilt):.2f} and turned by {np.degrees(turn):.2f} "
+        f"which were off by {1e3 * along:.2f} mm an axis in the plate and {1e3 * across:.2f} mm out of it; so the "
+        f"frame may be off by {1e3 * shift:.2f} mm, tilted by {np.degrees(tilt):.2f} and turned by "
+        f"{np.degrees(turn):.2f} "
         "degrees (one sigma)"
     )
 
