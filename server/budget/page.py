@@ -113,7 +113,7 @@ def assumptions(uncertainty: Uncertainty, light: Light, rig: Rig) -> list[tuple[
         ("LED positions", *_leds(u, rig)),
         ("LED angular offset", f"{u.offset_m * 1e3:g} mm at 45 degrees, all LEDs alike", u.origin("offset_m")),
         ("focal length", f"{u.focal_relative:.3%}", u.origin("focal_relative")),
-        ("principal point", f"{u.principal_point_px:g} px per axis", u.origin("principal_point_px")),
+        ("principal point", f"{u.principal_point_px:.3g} px per axis", u.origin("principal_point_px")),
         ("distortion", f"{u.distortion_relative:.2%} of its displacements{bent}", u.origin("distortion_relative")),
     ]
 

@@ -12,7 +12,8 @@ focal_relative: 0.0005       # focal length, as a share of it
 principal_point_px: 0.5      # principal point, per axis, px
 distortion_relative: 0.01    # lens distortion, as a share of it
 robots:                      # of single robots, by the calibration that measured them; the others have led_position_m
-  alpha: {led_position_m: 0.000003, size_relative: 0.001, by: calibrate leds}   # size: of all six together, a share
+  # among one another; the size of all six, as a share; for `calibrate world` the frame against the plate, m and rad
+  alpha: {led_position_m: 3e-6, size_relative: 1e-3, frame_m: 1e-4, tilt_rad: 1e-3, turn_rad: 5e-3, by: calibrate leds}
 ```
 
 Every key may be left out; then the lens is as sure as its calibration was, if its report (`calibrate camera`,
@@ -36,13 +37,17 @@ ESTIMATOR_BIAS_PX = {"edge-model": 0.001, "grey-square": 0.003, "clip": 0.002, "
 
 @dataclass(frozen=True, slots=True)
 class LedError:
-    """Of one robot's LEDs, standard deviations: ``position_m`` of each per axis, m; ``size_relative`` of the whole
-    constellation's size, as a share; ``by`` says where that is from.
+    """Of one robot's LEDs, standard deviations: ``position_m`` of each per axis among one another, m; ``size_relative``
+    of the whole constellation's size, as a share; ``frame_m``, ``tilt_rad``, ``turn_rad`` of where the robot's frame is
+    against the plate: m, rad of tilt, rad about the plate's normal; ``by`` says where that is from.
     """
 
     position_m: float
     size_relative: float
     by: str
+    frame_m: float = 0.0
+    tilt_rad: float = 0.0
+    turn_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,9 +136,10 @@ def lens_error_of(camera: Camera, camera_path: Path, uncertainty: Uncertainty) -
 
 
 def _led_error(part: Section) -> LedError:
-    part.only(("led_position_m", "size_relative", "by"))
-    size = part.number("size_relative", least=0.0) if "size_relative" in part else 0.0
-    return LedError(part.number("led_position_m", least=0.0), size, f"measured: {part.text('by')}")
+    shares = ("size_relative", "frame_m", "tilt_rad", "turn_rad")
+    part.only(("led_position_m", *shares, "by"))
+    size, *frame = (part.number(key, least=0.0) if key in part else 0.0 for key in shares)
+    return LedError(part.number("led_position_m", least=0.0), size, f"measured: {part.text('by')}", *frame)
 
 
 def _calibrated(camera_path: Path | None) -> dict[str, Any]:

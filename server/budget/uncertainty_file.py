@@ -53,8 +53,9 @@ def _without_lens(text: str, name: str) -> tuple[str, list[str]]:
 def _with_robots(text: str, robots: Mapping[str, LedError], name: str) -> str:
     for robot, known in robots.items():
         value: dict[str, Value] = {"led_position_m": _short(known.position_m)}
-        if known.size_relative:
-            value["size_relative"] = _short(known.size_relative)
+        for key in ("size_relative", "frame_m", "tilt_rad", "turn_rad"):
+            if number := getattr(known, key):
+                value[key] = _short(number)
         value["by"] = known.by
         if "robots" not in _keys(text, name):
             text = text + "\n" * (text != "" and not text.endswith("\n")) + f"robots:\n  {robot}: {{}}\n"

@@ -19,7 +19,7 @@ from asterism.server.calibration.leds.bundle import Adjusted
 from asterism.server.calibration.leds.calibration import (
     LedCalibration,
     calibrate_leds,
-    given_sigma,
+    given_sigmas,
     moved_by,
     shape_sigma,
     tilt_spread_deg,
@@ -105,30 +105,32 @@ def run(options: argparse.Namespace) -> int:
     gauge = Gauge(robot.leds, options.distance, options.frame)
     with fitting:
         found = calibrate_leds(rig, options.robot, frames, options.source, gauge)
-    adjusted = found.adjusted
+    adjusted, normal = found.adjusted, robot.T_robot_plane.rotation[:, 2]
     leds = adjusted.leds.round(DECIMALS) + 0.0
     text = rewrite(rig.rig_text, {("robots", options.robot, "leds"): leds.tolist()}, options.rig)
-    text = annotate(text, ("robots", options.robot, "leds"), TAG, _comments(adjusted, gauge))
+    text = annotate(text, ("robots", options.robot, "leds"), TAG, _comments(adjusted, gauge, normal))
     parse_rig(text, rig.camera_text, str(options.out), rig.offset_texts)
     text = relocate(text, Path(options.rig), options.out)
     kept = write_result_file(options.out, text, options.force)
     _tell(found, moved_by(adjusted.leds, robot.leds), tilt_spread_deg(robot, adjusted.views))
-    for line in _relative_to(adjusted, gauge, robot.T_robot_plane.rotation[:, 2]):
+    for line in _relative_to(adjusted, gauge, normal):
         print(line)
     print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else ""))
-    known = LedError(shape_sigma(adjusted), DISTANCE_SIGMA_M / options.distance[2], "calibrate leds")
+    frame = gauge.frame_sigmas(*given_sigmas(adjusted.leds, gauge.given, normal), normal)
+    known = LedError(shape_sigma(adjusted), DISTANCE_SIGMA_M / options.distance[2], "calibrate leds", *frame)
     for line in write_uncertainty_file(Path(options.rig), options.out, {options.robot: known}, options.force):
         print(line)
     return 0
 
 
-def _comments(adjusted: Adjusted, gauge: Gauge) -> list[str]:
+def _comments(adjusted: Adjusted, gauge: Gauge, normal: Floats) -> list[str]:
     """What the rig says above the positions: whose frame they are in, and how far it may be trusted."""
     metres = gauge.distance[2]
     return [
         f"positions among one another +- {1e3 * shape_sigma(adjusted):.4f} mm; scale: LEDs {gauge.distance[0]} and "
         f"{gauge.distance[1]} are {1e3 * metres:g} mm apart",
-        f"frame: {_frame(gauge)}, {_frame_sigmas(adjusted, gauge)}",
+        f"frame: {_frame(gauge)},",
+        _frame_sigmas(adjusted, gauge, normal),
     ]
 
 
@@ -139,12 +141,14 @@ def _frame(gauge: Gauge) -> str:
     return f"LED {first} stays where it stood, LED {second} in its direction, the plate in its plane"
 
 
-def _frame_sigmas(adjusted: Adjusted, gauge: Gauge) -> str:
-    sigma = given_sigma(adjusted.leds, gauge.given)
-    shift, turn = gauge.frame_sigmas(sigma)
+def _frame_sigmas(adjusted: Adjusted, gauge: Gauge, normal: Floats) -> str:
+    along, across = given_sigmas(adjusted.leds, gauge.given, normal)
+    shift, tilt, turn = gauge.frame_sigmas(along, across, normal)
     return (
-        f"which were off by {1e3 * sigma:.2f} mm an axis: by {1e3 * shift:.2f} mm and {np.degrees(turn):.2f} degrees "
-        "the frame may be off the plate's"
+        f"which were off by {1e3 * along:.2f} mm an axis in the plate and {1e3 * across:.2f} mm out of it; so the "
+        f"frame may be off by {1e3 * shift:.2f} mm, tilted by {np.degrees(tilt):.2f} and turned by "
+        f"{np.degrees(turn):.2f} "
+        "degrees (one sigma)"
     )
 
 
@@ -157,7 +161,7 @@ def _relative_to(adjusted: Adjusted, gauge: Gauge, normal: Floats) -> list[str]:
     return [
         f"shape: the LEDs among one another are known to {1e3 * shape_sigma(adjusted):.4f} mm an axis (off the plane: "
         f"{1e3 * off.max():.4f} mm); the sigmas above are relative to frame and scale:",
-        f"frame: {_frame(gauge)}, {_frame_sigmas(adjusted, gauge)}{anchor}",
+        f"frame: {_frame(gauge)}, {_frame_sigmas(adjusted, gauge, normal)}{anchor}",
         f"scale: from the distance of LEDs {first} and {second}, whose error it shares ({1e3 * DISTANCE_SIGMA_M:g} mm "
         f"there, which is assumed, is {DISTANCE_SIGMA_M / metres:.2%} of every pose's distance)",
     ]

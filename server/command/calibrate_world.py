@@ -25,7 +25,7 @@ from asterism.server.calibration.survey.survey import read_survey
 from asterism.server.calibration.survey.surveyed import pair
 from asterism.server.calibration.survey.world import WorldFit, fit_world, without_world
 from asterism.server.calibration.survey.world_board import fit_board
-from asterism.server.calibration.survey.world_lens import spread_by_lens
+from asterism.server.calibration.survey.world_lens import RobotError, Shares, with_systematic_errors
 from asterism.server.chain.warm_up import FINDING, localizing, warm_up
 from asterism.server.command.calibrate import TARGET, TRUTH, add_source_and_out
 from asterism.server.command.progress import progress, working
@@ -60,14 +60,18 @@ def run(options: argparse.Namespace) -> int:
     uncertainty = read_uncertainty(Path(options.rig), rig.centre, camera_path)
     lens = lens_error_of(rig.camera, camera_path, uncertainty)
     place = _from_target if options.target is not None else _from_survey
-    T_world_camera, covariance, of_lens = place(options, rig, lens.covariance)
+    T_world_camera, covariance, shares = place(options, rig, lens.covariance, uncertainty)
     position, orientation = T_world_camera.position.round(7) + 0.0, T_world_camera.orientation.round(9) + 0.0
     sigmas = np.sqrt(np.diag(covariance))
     print(
         f"camera in the world: {_row(1e3 * position, 3)} mm, +- {_row(1e3 * sigmas[:3], 3)} mm, "
         f"+- {_row(np.degrees(sigmas[3:]), 3)} degrees (x y z, one sigma)"
     )
-    print(_lens_line(np.sqrt(np.diag(of_lens)), lens, uncertainty, camera_path))
+    print(_lens_line(np.sqrt(np.diag(shares.lens)), lens, uncertainty, camera_path))
+    if shares.robots.any():
+        print(
+            f"of that the robots' frames and sizes: {_sigmas(np.sqrt(np.diag(shares.robots)))}, by {uncertainty.file}"
+        )
     world = {"position": position.tolist(), "orientation": orientation.tolist()}
     text = rewrite(rig.rig_text, {("world",): world}, options.rig)
     parse_rig(text, rig.camera_text, str(options.out), rig.offset_texts)
@@ -81,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _lens_line(sigmas: Floats, lens: LensError, uncertainty: Uncertainty, camera_path: Path) -> str:
     """How much of the standard deviations is the lens', and who says so."""
-    share = f"of that the lens: {_row(1e3 * sigmas[:3], 3)} mm, {_row(np.degrees(sigmas[3:]), 3)} degrees; "
+    share = f"of that the lens: {_sigmas(sigmas)}; "
     numbers = (
         f"f {uncertainty.focal_relative:.3%}, principal point {uncertainty.principal_point_px:g} px, distortion "
         f"{uncertainty.distortion_relative:.1%}"
@@ -97,7 +101,9 @@ def _lens_line(sigmas: Floats, lens: LensError, uncertainty: Uncertainty, camera
     return f"{share}by {lens.told_by} ({report_path(camera_path)}{partly})"
 
 
-def _from_survey(options: argparse.Namespace, rig: Rig, lens: Floats) -> tuple[Pose, Floats, Floats]:
+def _from_survey(
+    options: argparse.Namespace, rig: Rig, lens: Floats, uncertainty: Uncertainty
+) -> tuple[Pose, Floats, Shares]:
     survey = read_survey(options.truth, [robot.id for robot in rig.robots], orientations=False)
     rig = without_world(rig)
     source = open_source(options.source, rig, say)
@@ -111,7 +117,11 @@ def _from_survey(options: argparse.Namespace, rig: Rig, lens: Floats) -> tuple[P
         say(remark)
     pairs = paired.pairs
     with working("fitting the camera's place"):
-        fit = fit_world(pairs, str(options.truth))
+        robots = {
+            name: RobotError(error.size_relative, error.frame_m, error.tilt_rad, error.turn_rad)
+            for name, error in uncertainty.robots.items()
+        }
+        fit, shares = with_systematic_errors(fit_world(pairs, str(options.truth)), rig, lens, robots)
     _tell(fit)
     axes = [fit.T_world_camera.rotation @ s.pose.rotation @ rig.robot(s.robot).axis for s, _ in pairs]
     if np.median([axis[2] for axis in axes]) < 0.0:
@@ -124,8 +134,7 @@ def _from_survey(options: argparse.Namespace, rig: Rig, lens: Floats) -> tuple[P
             f"warning: the surveyed orientations differ from those seen by {np.degrees(fit.survey_sigma_rad):.0f} "
             "degrees (one sigma); are they T_world_robot, x y z w?"
         )
-    of_lens = spread_by_lens(fit, rig, lens)
-    return fit.T_world_camera, fit.covariance + of_lens, of_lens
+    return fit.T_world_camera, fit.covariance, shares
 
 
 def _tell(fit: WorldFit) -> None:
@@ -161,7 +170,7 @@ def _tell(fit: WorldFit) -> None:
     )
 
 
-def _from_target(options: argparse.Namespace, rig: Rig, lens: Floats) -> tuple[Pose, Floats, Floats]:
+def _from_target(options: argparse.Namespace, rig: Rig, lens: Floats, _: Uncertainty) -> tuple[Pose, Floats, Shares]:
     target = parse_target(options.target)
     refuse_symmetric(target)
     source = open_source(options.source, rig, say)
@@ -193,12 +202,16 @@ def _from_target(options: argparse.Namespace, rig: Rig, lens: Floats) -> tuple[P
         f"{y:.0f}) in frame {views[0].frame}, x runs along its first row, z points up from it, to the camera",
         highlight=False,
     )
-    return fit.T_world_camera, fit.covariance, fit.of_lens
+    return fit.T_world_camera, fit.covariance, Shares(fit.of_lens, np.zeros((6, 6)))
 
 
 def _console() -> Console:
     console = Console()
     return console if console.is_terminal else Console(width=160)
+
+
+def _sigmas(values: Floats) -> str:
+    return f"{_row(1e3 * values[:3], 3)} mm, {_row(np.degrees(values[3:]), 3)} degrees"
 
 
 def _row(values: Floats, digits: int) -> str:

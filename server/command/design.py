@@ -17,7 +17,7 @@ from asterism.server.command.progress import interruptible, working
 from asterism.server.command.shared_arguments import add_out
 from asterism.server.design.drill_plan import drill_plan
 from asterism.server.design.page import pdf, svg
-from asterism.server.design.plate_design import FOCAL_PX, LED_RADIUS, RIM, Design, Request, design
+from asterism.server.design.plate_design import FOCAL_PX, HOLE_RADIUS, RIM, Design, Request, design
 from asterism.server.design.plate_files import camera_text, rig_text
 from asterism.server.design.telling_apart import SIGMAS, TILT_DEG, image_px
 from asterism.server.output import check_folder, new_folder
@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
         (made.path / "camera.yaml").write_text(camera, encoding="utf-8")
         (made.path / "drill").mkdir()
         for name, layout in zip(found.names, found.layouts, strict=True):
-            page = drill_plan(name, layout, request.disc, LED_RADIUS)
+            page = drill_plan(name, layout, request.disc, HOLE_RADIUS)
             (made.path / "drill" / f"{name}.svg").write_text(svg(page), encoding="utf-8")
             (made.path / "drill" / f"{name}.pdf").write_bytes(pdf(page))
     _tell(found)

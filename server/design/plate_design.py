@@ -16,7 +16,10 @@ from asterism.server.identity.separation import separations
 FOCAL_PX, WIDTH_PX, HEIGHT_PX = 1400.0, 1280, 1024
 FILLS = 0.9  # of the image's height: the most that a plate may take
 MERGE_PX = 4.0  # LEDs nearer than this are one spot
-LED_RADIUS = 0.0025  # m
+HOLE_RADIUS = 0.0025  # m: of a 5 mm LED's plastic
+# m, of the light that it shows: 1.5 mm where a clear dome enlarges the reflector's cup, 2.5 mm where the plastic
+# is frosted. The chain takes an LED for one whose light is from half to one and a half of what the rig says.
+LIGHT_RADIUS = 0.0017
 RIM = 0.004  # m from an LED's centre to the plate's edge at least: its collar (2.9 mm), and a millimetre of plate
 LEAST_SPACING = 0.006  # m: collars of two LEDs side by side
 MOST_ROBOTS = 400

@@ -1,6 +1,6 @@
 """The rig of designed plates, as text: rig.yaml, and a camera.yaml that stands in until there is a calibrated one."""
 
-from asterism.server.design.plate_design import FOCAL_PX, HEIGHT_PX, LED_RADIUS, WIDTH_PX, Design
+from asterism.server.design.plate_design import FOCAL_PX, HEIGHT_PX, LIGHT_RADIUS, WIDTH_PX, Design
 
 
 def rig_text(design: Design) -> str:
@@ -11,12 +11,13 @@ def rig_text(design: Design) -> str:
         f"--distance {asked.distance:g} --sigma {asked.sigma_px:g}",
         "camera: camera.yaml                 # nominal: put your calibrated camera's file in its place",
         f"range: [{asked.distance / 2:g}, {asked.distance:g}]                  # working distances, m",
+        "# led.radius suits bare LEDs of 5 mm, clear or frosted; behind a diffuser it is that of the hole.",
         "robots:",
     ]
     for name, layout in zip(design.names, design.layouts.tolist(), strict=True):
         lines += [f"  {name}:", "    leds:                           # m, from the plate's centre; z: where they shine"]
         lines += [f"      - [{x:.5f}, {y:.5f}, 0.0]" for x, y in layout]
-        lines.append(f"    led: {{radius: {LED_RADIUS:g}}}")
+        lines.append(f"    led: {{radius: {LIGHT_RADIUS:g}}}           # m, of the light, not of the plastic")
     return "\n".join(lines) + "\n"
 
 

@@ -8,6 +8,8 @@ import pytest
 
 from asterism.protocol.errors import InputError
 from asterism.protocol.rig import hidden_led_warnings, parse_rig
+from asterism.server.chain.frame import Frame
+from asterism.server.chain.pipeline import localize
 from asterism.server.design.constellation_search import (
     GRID,
     LEAST_RMS_RADIUS,
@@ -18,6 +20,9 @@ from asterism.server.design.constellation_search import (
 )
 from asterism.server.design.plate_design import FOCAL_PX, Design, Request, design
 from asterism.server.design.plate_files import camera_text, rig_text
+from asterism.server.pose.solve import PoseEstimate
+from asterism.server.pose.track import Tracks
+from asterism.server.simulation.simulate import Scene
 from tests.identity.separations import brute_force
 from tests.rigs import random_layout
 
@@ -82,6 +87,28 @@ def test_the_rig_of_the_plates_loads_and_holds_their_positions(found: Design) ->
     assert rig.range_m == (0.75, 1.5)
     assert rig.camera.focal_px == FOCAL_PX
     assert not hidden_led_warnings(rig)
+
+
+@pytest.mark.parametrize("light_m", [0.0011, 0.0015, 0.0025])
+def test_the_radius_of_the_light_costs_no_robot_whatever_the_leds_are(found: Design, light_m: float) -> None:
+    """Clear or frosted, the holes are those of 5 mm LEDs: as many are found as by a rig that knows the light."""
+    camera = camera_text()
+    text = rig_text(found)
+    assert "    led: {radius: 0.0017}" in text
+    given = parse_rig(text, camera, "rig.yaml")
+    true = replace(given, robots=tuple(replace(robot, led_radius=light_m) for robot in given.robots))
+    scene = Scene(true, seed=3)
+    counts = []
+    for rig in (given, true):
+        answers = [
+            answer
+            for k in range(4)
+            for answer in localize(Frame(scene.render(k, scene.truth(k, 0.5 * k)), 1, k), rig, Tracks.none())[
+                0
+            ].answers.values()
+        ]
+        counts.append(sum(isinstance(answer, PoseEstimate) for answer in answers))
+    assert counts[0] == counts[1] > 12
 
 
 @pytest.mark.parametrize(

@@ -170,9 +170,15 @@ def moved_by(leds: Floats, given: Floats) -> Floats:
     return away
 
 
-def given_sigma(leds: Floats, given: Floats) -> float:
-    """How far off the given positions seem to be, one sigma an axis, m: of 18 numbers the rigid fit takes six."""
-    return float(np.sqrt((moved_by(leds, given) ** 2).sum() / (3 * LEDS - 6)))
+def given_sigmas(leds: Floats, given: Floats, normal: Floats) -> tuple[float, float]:
+    """How far off the given positions seem to be, one sigma an axis, m: in the plate and out of it, along its unit
+    ``normal`` (3,). Of the twelve numbers in it the rigid fit takes three, and three of the six out of it.
+    """
+    turn, shift = rigid_fit(leds, given)
+    off = leds @ turn.T + shift - given
+    across = off @ normal
+    along = off - np.outer(across, normal)
+    return float(np.sqrt((along**2).sum() / 9.0)), float(np.sqrt((across**2).sum() / 3.0))
 
 
 def shape_sigma(adjusted: Adjusted) -> float:

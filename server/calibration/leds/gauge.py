@@ -45,16 +45,20 @@ class Gauge:
             frame = _held(leds, *self.anchors)
         return np.vstack([frame, apart.ravel()])
 
-    def frame_sigmas(self, sigma: float) -> tuple[float, float]:
-        """How far off, m and rad (the worst direction's one sigma), the frame is when every given position is off by
-        ``sigma`` m an axis.
+    def frame_sigmas(self, along: float, across: float, normal: Floats) -> tuple[float, float, float]:
+        """How far off (one sigma, worst direction) the frame is - m, rad of tilt, rad about the ``normal`` (3,) of
+        the plate - when every given position is off by ``along`` m an axis in the plate and ``across`` m out of it.
         """
-        if self.anchors is not None:
-            first, second = self.given[list(self.anchors)]
-            return sigma, sigma * math.sqrt(2.0) / float(np.linalg.norm(second - first))
-        away = self.given - self.given.mean(axis=0)
-        inertia = (away**2).sum() * np.eye(3) - away.T @ away
-        return sigma / math.sqrt(6.0), sigma / math.sqrt(float(np.linalg.eigvalsh(inertia)[0]))
+        if self.anchors is None:
+            flat = (self.given - self.given.mean(axis=0)) @ (np.eye(3) - np.outer(normal, normal))
+            least, most = np.linalg.eigvalsh(flat.T @ flat)[1:]
+            return max(along, across) / math.sqrt(6.0), across / math.sqrt(least), along / math.sqrt(least + most)
+        first, second = self.anchors
+        length = float(np.linalg.norm(self.given[second] - self.given[first]))
+        beside = np.cross(self.given - self.given[first], self.given[second] - self.given[first]) / length
+        turn = math.sqrt(2.0) / length
+        tilt = max(turn, math.sqrt(2.0 / float((beside**2).sum())))
+        return max(along, across), across * tilt, along * turn
 
 
 def unseen_changes(leds: Floats) -> Floats:

@@ -12,14 +12,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.spatial.transform import Rotation
 
 from asterism.protocol.errors import InputError
-from asterism.protocol.geometry import Floats, Pose, angle_between, exp_rotation, log_rotation, matrix_from_quat
+from asterism.protocol.geometry import Floats, Pose, angle_between, exp_rotation, log_rotation
 from asterism.protocol.rig import Rig
 from asterism.server.calibration.leds.gauge import rigid_fit
 from asterism.server.calibration.leds.observations import Sighting
 from asterism.server.calibration.survey.survey import SurveyedPose
+from asterism.server.calibration.survey.world_table import (
+    POSITION,
+    ROTATION,
+    Sample,
+    Table,
+    moved,
+    normal_equations,
+    residuals_of,
+    spreads_of,
+)
 
 FEWEST_POINTS = 3
 NARROWEST = 0.05  # of the points' spread along their line: how far they must spread across it
@@ -31,28 +40,6 @@ MOST_PAIRED = 200
 SCALE_OFF = 0.05
 MEDIAN_CHI2 = 2.366  # of three degrees of freedom
 ITERATIONS = 30
-POSITION, ROTATION = slice(0, 3), slice(3, 6)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sample:
-    """A robot at a surveyed place: ``seen`` is T_camera_robot with ``covariance`` (6, 6), m and rad about the camera's
-    axes, from ``frames`` frames, the first of which is ``frame``. ``position`` (3,) m and ``orientation`` (x y z w or
-    None) are T_world_robot.
-    """
-
-    robot: str
-    frame: str
-    frames: int
-    seen: Pose
-    covariance: Floats
-    position: Floats
-    orientation: Floats | None
-
-    @property
-    def name(self) -> str:
-        """What people call it."""
-        return f"{self.robot} in " + (self.frame if self.frames == 1 else f"{self.frames} frames from {self.frame}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +80,7 @@ def fit_world(pairs: Sequence[tuple[Sighting, SurveyedPose]], survey: str) -> Wo
     _check_scale(seen, places, survey)
     start = _rough(seen, places)
     samples = _merged([_likelier_tilt(sighting, surveyed, start) for sighting, surveyed in pairs])
-    table, n = _Table.of(samples), len(samples)
+    table, n = Table.of(samples), len(samples)
     T, sigmas = _refined(table, start, robust=True)
     used = np.ones(n, np.bool_)
     if n >= ENOUGH_TO_DOUBT:
@@ -103,54 +90,9 @@ def fit_world(pairs: Sequence[tuple[Sighting, SurveyedPose]], survey: str) -> Wo
     _check_spread(table.positions[used], survey, "surveyed and seen alike")
     T, sigmas = _refined(table[used], T, robust=False)
     held_out, covariance = _held_out(table, used, T, sigmas)
-    off = _off(table, T)
+    off = residuals_of(table, T)
     turned = np.where(table.oriented[:, None], off[:, 3:], np.nan)
     return WorldFit(T, covariance, tuple(samples), off[:, :3], turned, held_out, used, *sigmas)
-
-
-def camera_by_samples(fit: WorldFit, changes: Floats) -> Floats:
-    """(6, p): how the fitted camera moves, m and rad about the world's axes, when the seen poses of all samples move by
-    ``changes`` (n, 6, p), m and rad about the camera's axes.
-    """
-    table = _Table.of(fit.samples)[fit.used]
-    by_pose, weighted = _weighted(table, fit.T_world_camera, (fit.survey_sigma_m, fit.survey_sigma_rad))
-    turn = np.kron(np.eye(2), fit.T_world_camera.rotation)
-    normal = (weighted @ by_pose).sum(axis=0)
-    moved: Floats = -np.linalg.solve(normal, (weighted @ turn @ changes[fit.used]).sum(axis=0))
-    return moved
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Table:
-    """Samples as arrays: seen (n, 3), (n, 3, 3), (n, 6, 6); surveyed (n, 3), (n, 3, 3); whether the latter was (n,)."""
-
-    seen: Floats
-    seen_rotations: Floats
-    covariances: Floats
-    positions: Floats
-    rotations: Floats
-    oriented: NDArray[np.bool_]
-
-    @staticmethod
-    def of(samples: Sequence[Sample]) -> "_Table":
-        return _Table(
-            np.array([s.seen.position for s in samples]),
-            np.array([s.seen.rotation for s in samples]),
-            np.array([s.covariance for s in samples]),
-            np.array([s.position for s in samples]),
-            np.array([np.eye(3) if s.orientation is None else matrix_from_quat(s.orientation) for s in samples]),
-            np.array([s.orientation is not None for s in samples]),
-        )
-
-    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> "_Table":
-        return _Table(
-            self.seen[rows],
-            self.seen_rotations[rows],
-            self.covariances[rows],
-            self.positions[rows],
-            self.rotations[rows],
-            self.oriented[rows],
-        )
 
 
 def _spread(places: Floats) -> tuple[float, float]:
@@ -257,26 +199,9 @@ def _mean(group: list[Sample]) -> Sample:
     return replace(first, frames=len(group), seen=seen, covariance=covariance)
 
 
-def _off(table: _Table, T_world_camera: Pose) -> Floats:
-    """Surveyed minus predicted (n, 6): position, m, and rotation vector about the world's axes, 0 without one."""
-    turn = T_world_camera.rotation
-    away = table.positions - (table.seen @ turn.T + T_world_camera.position)
-    apart = table.rotations @ np.swapaxes(turn @ table.seen_rotations, 1, 2)
-    turned = Rotation.from_matrix(apart).as_rotvec() * table.oriented[:, None]
-    return np.hstack([away, turned])
-
-
-def _spreads(table: _Table, T_world_camera: Pose, sigmas: tuple[float, float]) -> Floats:
-    """Covariances (n, 6, 6) of what `_off` says: those of the seen poses, about the world's axes, and the survey's."""
-    turn = np.kron(np.eye(2), T_world_camera.rotation)
-    survey = np.diag([sigmas[0] ** 2] * 3 + [sigmas[1] ** 2] * 3)
-    spreads: Floats = turn @ table.covariances @ turn.T + survey
-    return spreads
-
-
-def _sigmas_off(table: _Table, T: Pose, sigmas: tuple[float, float]) -> Floats:
+def _sigmas_off(table: Table, T: Pose, sigmas: tuple[float, float]) -> Floats:
     """How far off every sample is (n,), the larger of position and rotation, sigmas."""
-    off, spreads = _off(table, T), _spreads(table, T, sigmas)
+    off, spreads = residuals_of(table, T), spreads_of(table, T, sigmas)
     squared = [
         (off[:, part] * np.linalg.solve(spreads[:, part, part], off[:, part, None])[..., 0]).sum(axis=1)
         for part in (POSITION, ROTATION)
@@ -285,7 +210,7 @@ def _sigmas_off(table: _Table, T: Pose, sigmas: tuple[float, float]) -> Floats:
     return larger
 
 
-def _refined(table: _Table, T: Pose, robust: bool) -> tuple[Pose, tuple[float, float]]:
+def _refined(table: Table, T: Pose, robust: bool) -> tuple[Pose, tuple[float, float]]:
     """The fit with the survey's own sigmas, m and rad, which are found together with it; robust: by medians."""
     weights = np.ones(len(table.seen))
     sigmas = (0.0, 0.0)
@@ -294,49 +219,20 @@ def _refined(table: _Table, T: Pose, robust: bool) -> tuple[Pose, tuple[float, f
         sigmas = (_survey_sigma(table, T, POSITION, robust), _survey_sigma(table, T, ROTATION, robust))
         if robust:
             weights = 1.0 / (1.0 + (_sigmas_off(table, T, sigmas) / 3.0) ** 2)
-        normals, rights = _normal_equations(table, T, sigmas)
+        normals, rights = normal_equations(table, T, sigmas)
         move = np.linalg.solve((weights[:, None, None] * normals).sum(axis=0), weights @ rights)
-        T = _moved(T, move)
+        T = moved(T, move)
         if np.linalg.norm(T.position - before.position) + np.linalg.norm(move[3:]) < 1e-12:
             break
     return T, sigmas
 
 
-def _moved(T: Pose, move: Floats) -> Pose:
-    return Pose.from_matrix(exp_rotation(move[3:]) @ T.rotation, T.position + move[:3])
-
-
-def _normal_equations(table: _Table, T: Pose, sigmas: tuple[float, float]) -> tuple[Floats, Floats]:
-    """Every sample's share (n, 6, 6) and (n, 6) of the normal equations for the camera's shift and rotation about the
-    world's axes.
-    """
-    by_pose, weighted = _weighted(table, T, sigmas)
-    return weighted @ by_pose, (weighted @ _off(table, T)[..., None])[..., 0]
-
-
-def _weighted(table: _Table, T: Pose, sigmas: tuple[float, float]) -> tuple[Floats, Floats]:
-    """Derivatives (n, 6, 6) of where samples are predicted by the camera's shift and rotation about the world's axes,
-    and the same, transposed, times the inverse covariances.
-    """
-    x, y, z = (table.seen @ T.rotation.T).T
-    by_pose = np.tile(np.eye(6), (len(x), 1, 1))
-    zero = np.zeros(len(x))
-    by_pose[:, :3, 3:] = np.moveaxis(np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]]), 2, 0)
-    spreads = _spreads(table, T, sigmas)
-    information = np.linalg.inv(spreads)
-    # Where no orientation was surveyed, the position alone counts.
-    alone = np.zeros_like(spreads)
-    alone[:, :3, :3] = np.linalg.inv(spreads[:, :3, :3])
-    information = np.where(table.oriented[:, None, None], information, alone)
-    return by_pose, np.swapaxes(by_pose, 1, 2) @ information
-
-
-def _held_out(table: _Table, used: NDArray[np.bool_], T: Pose, sigmas: tuple[float, float]) -> tuple[Floats, Floats]:
+def _held_out(table: Table, used: NDArray[np.bool_], T: Pose, sigmas: tuple[float, float]) -> tuple[Floats, Floats]:
     """Positions' residuals (n, 3) of every sample against the fit to the others, and the fit's covariance (6, 6).
 
     One Gauss-Newton step from the fit to all is the fit to all but one: it moves by far less than the pose bends.
     """
-    normals, rights = _normal_equations(table, T, sigmas)
+    normals, rights = normal_equations(table, T, sigmas)
     normal, right = normals[used].sum(axis=0), rights[used].sum(axis=0)
     held_out = np.full((len(used), 3), np.nan)
     for k in range(len(used)):
@@ -346,17 +242,17 @@ def _held_out(table: _Table, used: NDArray[np.bool_], T: Pose, sigmas: tuple[flo
             continue
         alone = T
         if used[k]:
-            alone = _moved(T, np.linalg.solve(normal - normals[k], right - rights[k]))
-        held_out[k] = _off(table[np.array([k])], alone)[0, :3]
+            alone = moved(T, np.linalg.solve(normal - normals[k], right - rights[k]))
+        held_out[k] = residuals_of(table[np.array([k])], alone)[0, :3]
     return held_out, np.linalg.inv(normal)
 
 
-def _survey_sigma(table: _Table, T: Pose, part: slice, robust: bool) -> float:
+def _survey_sigma(table: Table, T: Pose, part: slice, robust: bool) -> float:
     """One sigma of the survey's own error, m or rad, such that the residuals are as large as they should be."""
     rows = np.ones(len(table.seen), np.bool_) if part == POSITION else table.oriented
     if not rows.any():
         return 0.0
-    off, spreads = _off(table, T)[rows, part], _spreads(table, T, (0.0, 0.0))[rows, part, part]
+    off, spreads = residuals_of(table, T)[rows, part], spreads_of(table, T, (0.0, 0.0))[rows, part, part]
     # The six numbers of the fit take their share of the positions' residuals.
     numbers = 3.0 * int(rows.sum())
     freedom = max(numbers - (6.0 if part == POSITION else 0.0), 1.0)

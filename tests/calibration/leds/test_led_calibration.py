@@ -52,7 +52,7 @@ def test_a_film_gives_the_positions(film: tuple[Path, Rig], tmp_path: Path, caps
     np.testing.assert_allclose(shift, np.zeros(3), atol=1e-7)
     new, old = out.read_text().splitlines(), (folder / "rig.yaml").read_text().splitlines()
     own = [line for line in new if line.startswith("    # asterism calibrate leds: ")]
-    assert len(own) == 2
+    assert len(own) == 3
     assert "; scale: LEDs 1 and 4 are " in own[0]
     bare = [[re.sub(r"\[.*\]", "", line) for line in lines if line not in own] for lines in (new, old)]
     assert bare[0][3:] == bare[1][3:]
@@ -65,6 +65,7 @@ def test_a_film_gives_the_positions(film: tuple[Path, Rig], tmp_path: Path, caps
     known = beside.leds_of("alpha")
     assert 0.3e-6 < known.position_m < 20e-6
     assert known.size_relative == pytest.approx(0.1e-3 / float(distance(true).partition("=")[2]), rel=0.01)
+    assert 0.2e-3 < known.frame_m < 0.6e-3
     assert known.by == "measured: calibrate leds"
     assert beside.leds_of("bravo").by == "assumed"
     # Nothing is overwritten unasked.
@@ -84,7 +85,7 @@ def test_two_leds_hold_the_frame_and_the_rig_says_so_once(
     found = load_rig(out)
     np.testing.assert_allclose(found.robots[0].leds[2], given.robots[0].leds[2], atol=1e-7)
     assert main(["calibrate", "leds", str(out), *arguments, "-o", str(out), "--force"]) == 0
-    assert out.read_text().count("# asterism calibrate leds: ") == 2
+    assert out.read_text().count("# asterism calibrate leds: ") == 3
     np.testing.assert_allclose(load_rig(out).robots[0].leds, found.robots[0].leds, atol=2e-7)
     capsys.readouterr()
     said = refused(capsys, "calibrate", "leds", out, *arguments[:-1], "2,2", "-o", tmp_path / "no.yaml")

@@ -23,7 +23,7 @@ from asterism.server.calibration.lens.targets import parse_target
 from asterism.server.calibration.survey.survey import SurveyedPose
 from asterism.server.calibration.survey.world import fit_world
 from asterism.server.calibration.survey.world_board import fit_board
-from asterism.server.calibration.survey.world_lens import spread_by_lens
+from asterism.server.calibration.survey.world_lens import RobotError, with_systematic_errors
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.calibration.lens.boards import Lens, poses
 from tests.calibration.survey.surveys import survey_pairs
@@ -309,11 +309,31 @@ def test_a_camera_placed_by_robots_is_as_far_off_as_it_says_with_a_lens_that_is_
         given = replace(true_rig, camera=camera)
         pairs = survey_pairs(true, given, [facing_pose(rng, (0.9, 1.4), (15.0, 50.0)) for _ in range(12)], rng)
         fit = fit_world(pairs, "survey")
-        of_lens = spread_by_lens(fit, given, covariance)
-        with_lens.append(weighted_error(fit.T_world_camera, fit.covariance + of_lens, T))
+        told, _ = with_systematic_errors(fit, given, covariance, {})
+        with_lens.append(weighted_error(fit.T_world_camera, told.covariance, T))
         without.append(weighted_error(fit.T_world_camera, fit.covariance, T))
     assert 6 - 4 * np.sqrt(12 / trials) < np.mean(with_lens) < 1.15 * 6 + 4 * np.sqrt(12 / trials)
     assert np.mean(without) > 12.0
+
+
+def test_a_camera_is_as_far_off_as_robots_with_a_wrong_frame_and_size_make_it(rng: np.random.Generator) -> None:
+    """Frames and sizes drawn anew each time, as `calibrate leds` leaves them."""
+    rig, trials, error = make_rig(1, seed=4), 30, RobotError(1e-3, 0.15e-3, 1e-3, 5e-3)
+    known, unknown = [], []
+    for _ in range(trials):
+        T, robot = random_pose(rng), rig.robots[0]
+        turn = exp_rotation(rng.standard_normal(3) * [error.tilt_rad, error.tilt_rad, error.turn_rad])
+        leds = (1.0 + error.size_relative * rng.standard_normal()) * robot.leds
+        leds = leds @ turn.T + error.frame_m * rng.standard_normal(3)
+        given = replace(rig, robots=(replace(robot, leds=leds),))
+        there = [facing_pose(rng, (0.9, 1.4), (15.0, 50.0)) for _ in range(12)]
+        fit = fit_world(survey_pairs(replace(rig, T_world_camera=T), given, there, rng), "survey")
+        told, shares = with_systematic_errors(fit, given, EXACT, {"r00": error})
+        assert not shares.lens.any()
+        known.append(weighted_error(fit.T_world_camera, told.covariance, T))
+        unknown.append(weighted_error(fit.T_world_camera, fit.covariance, T))
+    assert 6 - 4 * np.sqrt(12 / trials) < np.mean(known) < 1.15 * 6 + 4 * np.sqrt(12 / trials)
+    assert np.mean(unknown) > 12.0
 
 
 def test_dots_are_corrected_for_perspective(rng: np.random.Generator) -> None:
