@@ -28,6 +28,7 @@ th, td {{ padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #dd
 th {{ border-bottom: 2px solid #888; white-space: nowrap; }}
 th:first-child, td:first-child, td.text, th.text {{ text-align: left; }}
 .numbers th:first-child, .numbers td:first-child {{ position: sticky; left: 0; background: #fff; white-space: nowrap; }}
+.numbers td {{ white-space: nowrap; }}
 tr.all td {{ font-weight: 700; border-top: 2px solid #888; }}
 figure {{ margin: 1.4rem 0 2rem; }} figcaption {{ color: #444; }} img {{ max-width: 100%; height: auto; }}
 .given {{ color: #00603f; font-weight: 600; }} .assumed {{ color: #9a4a00; }}
