@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
     with new_folder(out, options.force) as made:
         for name, text in files_of(draw_rig(options.seed), options.seed).items():
             (made.path / name).write_text(text, encoding="utf-8")
-    print(f"written: README.md and its rig, as it is and as you would have measured it, in {out}{made.note}")
+    print(f"written: README.md, a rig as it is and as you would measure it, in {out}{made.note}")
     if program() != NAME:
         # README.md says `asterism`, and a relative path would not lead there from inside the folder.
         print(f"go on:   export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH")
