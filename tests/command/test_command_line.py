@@ -194,8 +194,7 @@ def nonsense(folder: Path) -> list[Path]:
         "empty": b"",
         "binary": bytes(range(256)) * 8,
         "latin.yaml": b"camera: c\xe4mera.yaml\nrobots: {}\n",
-        "deep.yaml": b"a: " + b"[" * 5000,
-        "deep.json": b"[" * 100_000,
+        "deep": b"a: " + b"[" * 700,
         "zero.yaml": b"camera: a\0b\n",
         "list.yaml": b"- 1\n",
         "huge.yaml": b"camera: camera.yaml\nrange: [" + b"9" * 400 + b", 2]\nrobots: {}\n",
@@ -253,3 +252,15 @@ def test_numbers_that_are_none_get_one_sentence(capsys: pytest.CaptureFixture[st
             refused(capsys, *arguments)
     for camera in ("²", "9" * 30, "/dev/videoX"):
         refused(capsys, "serve", DEMO_RIG, camera)
+
+
+def test_what_is_nested_too_deeply_is_refused(capsys: pytest.CaptureFixture[str], frames: Path, tmp_path: Path) -> None:
+    """A parser that calls itself would end the process, or with a traceback."""
+    for bracket in "[{":
+        (tmp_path / "deep").write_text('{"a":' * 3000 if bracket == "{" else bracket * 3000)
+        told = refused(capsys, "serve", DEMO_RIG, frames, "--zenoh", tmp_path / "deep")
+        assert "is nested too deeply, expected a zenoh configuration" in told
+        survey = ("--truth", tmp_path / "deep", "-o", tmp_path / "out")
+        assert "line 1: is no JSON" in refused(capsys, "calibrate", "world", DEMO_RIG, frames, *survey)
+    (tmp_path / "deep").write_text("a: " + "[" * 1000)
+    assert "is nested too deeply" in refused(capsys, "check", tmp_path / "deep")
