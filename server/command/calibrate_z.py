@@ -202,11 +202,11 @@ def _tell(found: Refit, rig: Rig, no_refit: bool, plane: SuperPlane | None, pair
         scores = ", ".join(
             f"{kind} {1e3 * plane.rms_m[kind]:.3f} mm ({score:.3%} of Z)" for kind, score in plane.scores.items()
         )
-        console.print(f"Z left over, every slab of Z held out in its turn (RMS): {scores}", highlight=False)
+        console.print(f"error of Z at distances left out of the fit (RMS): {scores}", highlight=False)
         z = [sighting.pose.position[2] for sighting, _ in pairs]
         correction = plane.correction
         console.print(
-            f"z_correction: none, since none gains {LEAST_GAIN:.0%}"
+            f"z_correction: not needed, neither plane nor quadric gains {LEAST_GAIN:.0%}"
             if correction is None
             else f"z_correction: {correction.kind}, surveyed at Z from {min(z):.2f} to {max(z):.2f} m; elsewhere it "
             "fades to nothing, and poses are flagged `extrapolated`",
@@ -224,7 +224,7 @@ def _refit_lines(found: Refit, rig: Rig, pairs: Pairs) -> list[str]:
             for k, axis in enumerate(("cx", "cy"))
         ),
         *(
-            f"{name} {before:.5f} -> {after:.5f} +- {sigma:.5f}"
+            f"{name} {before:.5f} -> {after:.5f} +- {sigma:.1g}"
             for name, before, after, sigma in zip(names, old.distortion, new.distortion, sigmas[3:], strict=True)
         ),
     ]

@@ -117,7 +117,7 @@ def _table(budget: Budget) -> Table:
         padding=(0, 1),
     )
     table.add_column("source", no_wrap=True)
-    for name in ("x mm", "y mm", "z mm", "rx deg", "ry deg", "rz deg", "of z"):
+    for name in ("x mm", "y mm", "z mm", "rx deg", "ry deg", "rz deg", "share of z"):
         table.add_column(name, justify="right", no_wrap=True)
     scales = np.array([1e3, 1e3, 1e3, *[np.degrees(1.0)] * 3])
     parts, whole = budget.by_distance[middle], budget.by_distance.sum(axis=1)
@@ -145,6 +145,7 @@ def _tell(console: Console, compared: Compared, bins: list[Bin]) -> None:
     whole, own = compared.nees
     console.print(
         f"{len(compared.errors)} sightings, {compared.lost} lost, {compared.flips} with the wrong tilt; squared error "
-        f"over the budget's covariance {whole:.1f}, over the chain's own {own:.1f} (6 is honest)",
+        f"over the budget's covariance {whole:.1f}, over the covariance published with each pose {own:.1f} "
+        "(6 is honest)",
         highlight=False,
     )

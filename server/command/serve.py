@@ -74,7 +74,8 @@ def run(options: argparse.Namespace) -> int:
 
             sinks = (stack.enter_context(LiveView(rig)).write,)
         where = options.connect or options.listen or options.zenoh or DEFAULT_ENDPOINT
-        say(f"serving {len(rig.robots)} robots of camera '{rig.camera.name}' from {source.name} at {where}")
+        robots = f"{len(rig.robots)} robot{'s' * (len(rig.robots) > 1)}"
+        say(f"serving {robots} of camera '{rig.camera.name}' from {source.name} at {where}")
         recorder = _recorder(options, rig, source)
         served = Run(rig, source, Outlets(publisher, recorder, sinks), stop)
         try:

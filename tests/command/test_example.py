@@ -130,7 +130,7 @@ def test_its_readme_can_be_pasted(folder: Path, capsys: pytest.CaptureFixture[st
         if words[:2] != ["report", "rig3.yaml"] and words[0] != "example":  # once each is enough
             told[words[0]] = " ".join(paste(words, folder).split())
     assert "measured RMS beside predicted one sigma" in told["report"]
-    honest = re.search(r"over the chain's own ([\d.]+) \(6 is honest\)", told["report"])
+    honest = re.search(r"over the covariance published with each pose ([\d.]+) \(6 is honest\)", told["report"])
     assert honest is not None
     assert 3.0 < float(honest[1]) < 20.0
     assert len((folder / "poses.jsonl").read_text().splitlines()) == int(FEWER["60"])
