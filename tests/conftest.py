@@ -10,12 +10,13 @@ import pytest
 from asterism.protocol.rig import ESTIMATORS
 from asterism.server.chain.kernel_list import BLOBS, CHECK, DESIGN, LOCALIZE, SIMULATE
 from asterism.server.chain.warm_up import warm_up
+from asterism.server.service.telling import telling
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _compiled(pytestconfig: pytest.Config) -> None:
     """No test's clock or output is disturbed by what happens only at the first start on a machine, which is shown."""
-    with pytestconfig.pluginmanager.getplugin("capturemanager").global_and_fixture_disabled():
+    with pytestconfig.pluginmanager.getplugin("capturemanager").global_and_fixture_disabled(), telling():
         warm_up(BLOBS, *ESTIMATORS, LOCALIZE, SIMULATE, CHECK, DESIGN)
 
 

@@ -1,6 +1,7 @@
 """Compile kernels before they are needed: the first time on a machine that takes a while, and is said."""
 
 import contextlib
+import logging
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -13,6 +14,8 @@ from asterism.protocol.rig import ESTIMATORS, Rig
 from asterism.server.chain.compile_beside import compile_beside, cores, divide
 from asterism.server.chain.kernel_list import BLOBS, LOCALIZE, SIMULATE, Entry, kernel_list
 from asterism.server.kernel_folder import alone, open_folder
+
+_SAID = logging.getLogger("asterism.said")  # what the command line tells a person
 
 FINDING = BLOBS, ESTIMATORS[0]  # what finding the spots of a calibration target needs
 
@@ -30,10 +33,10 @@ def warm_up(*needs: str) -> None:
     problem = open_folder()
     if not all(entry.is_kept() for entry in entries):
         if problem is None:
-            with alone(lambda: _say("another start is compiling; waiting for it ...")):
+            with alone(lambda: _SAID.info("another start is compiling; waiting for it ...")):
                 _compile([entry for entry in entries if not entry.is_kept()])
         else:
-            _say(f"nothing can be kept for the next start ({problem})")
+            _SAID.info(f"nothing can be kept for the next start ({problem})")
             _compile(entries, kept=False)
     for entry in entries:
         entry.make_ready()
@@ -60,15 +63,15 @@ def _told(missing: Sequence[Entry], kept: bool) -> Iterator[Callable[[Entry], No
     if not missing:
         yield lambda _: None
         return
-    console, began = Console(stderr=True), time.monotonic()
+    began = time.monotonic()
     kernels = "1 kernel" if len(missing) == 1 else f"{len(missing)} kernels"
-    if console.is_terminal:
+    if _shows():
         columns = (
             TextColumn(f"compiling for this machine{', once' * kept}"),
             BarColumn(),
             TextColumn("{task.fields[count]}"),
         )
-        with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as bar:
+        with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True), transient=True) as bar:
             count = 0
             task = bar.add_task("", total=sum(entry.seconds for entry in missing), count=f"0 of {kernels}")
 
@@ -79,10 +82,12 @@ def _told(missing: Sequence[Entry], kept: bool) -> Iterator[Callable[[Entry], No
 
             yield tell
     else:
-        _say(f"compiling {kernels} for this machine{', only the first time' * kept} (up to a minute or two) ...")
+        _SAID.info(f"compiling {kernels} for this machine{', only the first time' * kept} (up to a minute or two) ...")
         yield lambda _: None
-    _say(f"compiled {kernels} in {time.monotonic() - began:.0f} s{'; the next start has them' * kept}")
+    _SAID.info(f"compiled {kernels} in {time.monotonic() - began:.0f} s{'; the next start has them' * kept}")
 
 
-def _say(text: str) -> None:
-    print(f"asterism: {text}", file=sys.stderr, flush=True)
+def _shows() -> bool:
+    """Whether there is a terminal, and somebody who is told: nobody is with --quiet, nor in other programs."""
+    listeners = logging.getLogger("asterism").handlers
+    return sys.stderr.isatty() and any(listener.level <= logging.INFO for listener in listeners)

@@ -95,11 +95,14 @@ def test_ctrl_c_says_what_it_left_and_the_rerun_is_not_refused(
     with monkeypatch.context() as patch:
         lines, line = iter((True, False)), locate.line
         patch.setattr(locate, "line", lambda *of: line(*of) if next(lines) else interrupted())
-        words = refused(capsys, *found, "-o", poses, code=130)
-        assert words == f"asterism: interrupted; what was done so far is in {poses}.partial"
+        assert main([str(word) for word in (*found, "-o", poses)]) == 130
+        told = capsys.readouterr().err.splitlines()
+        assert "asterism: 2 frames of 3" in told
+        assert told[-1] == f"asterism: interrupted; what was done so far is in {poses}.partial"
         assert not poses.exists()
-        assert len(Path(f"{poses}.partial").read_text().splitlines()) == 1
+        assert len(Path(f"{poses}.partial").read_text().splitlines()) == 2
     assert main([str(word) for word in (*found, "-o", poses)]) == 0
+    capsys.readouterr()
     assert len(poses.read_text().splitlines()) == 3
     assert sorted(path.name for path in tmp_path.iterdir()) == ["film", "poses.jsonl"]
     with monkeypatch.context() as patch:
