@@ -3,9 +3,7 @@
 `python -m tests.measure.answers write OUT.jsonl [FOLDER ...]` locates every folder's frames twice, each alone and one
 after another; `... compare A.jsonl B.jsonl` says whether states, LEDs, spots, fates and alternatives are equal, and by
 how many sigmas (square root of the difference's weighted square) poses, and by what share of their variances
-covariances differ; exit code 1 beyond a thousandth. FOLDER as in `accuracy`. The same code compiled twice is not the
-same to the last bit: which kernels LLVM sees together (in one process) or links (from the cache) decides where sums
-are reordered, and a fit then stops a step earlier or later; that alone was measured to move poses by 2e-4 sigma.
+covariances differ; exit code 1 beyond a thousandth. FOLDER as in `accuracy`.
 """
 
 import json
