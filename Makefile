@@ -16,6 +16,8 @@ help: ## list the words
 	@test -x $(BIN)/python || { echo "making .venv ..."; $(PYTHON) -m venv .venv || { echo "make: $(PYTHON) has no venv module (Debian: apt install python3-venv)"; exit 2; }; }
 	@echo "installing asterism and what it needs into .venv: about 1 GB to download the first time, most of it the viewer;"
 	@echo "a few minutes on a fast line ..."
+	@# Until 0.1 the distribution was called asterism; in this environment nothing else is.
+	@$(BIN)/python -m pip uninstall --quiet --yes asterism 2>/dev/null || true
 	@$(BIN)/python -m pip install $(PIP_SAYS) --disable-pip-version-check --editable '.[all,dev]'
 	@echo "installed."
 	@touch $@
