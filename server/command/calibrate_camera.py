@@ -33,7 +33,7 @@ from asterism.server.sources.source import Source
 
 EXAMPLES = (
     "asterism calibrate camera boards/ --target chessboard:9x6:0.025 -o camera.yaml\n"
-    "asterism calibrate camera /dev/video0 --target charuco:8x6:0.03 -o camera.yaml\n"
+    "asterism calibrate camera /dev/video0 --target charuco:8x6:0.028 -o camera.yaml\n"
     "asterism calibrate camera film/ --target leds:alpha.yaml -o camera.yaml\n"
 )
 

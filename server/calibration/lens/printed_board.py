@@ -42,11 +42,6 @@ def printed_board(target: Target) -> Page:
 def _refuse_unfit(target: Target) -> None:
     if target.pitch < LEAST_PITCH:
         raise InputError(f"{target.name}: {target.pitch * 1e3:g} mm, expected a PITCH of {LEAST_PITCH:g} m or more")
-    if target.kind == "acircles" and target.symmetric:
-        raise InputError(
-            f"{target.name}: {target.rows} rows, expected an odd number: with an even one the board looks the same "
-            "turned by half, and its dots are taken for one another"
-        )
 
 
 def _sheet(target: Target, width: float, height: float, *, on_its_side: bool) -> tuple[str, float, float]:

@@ -89,6 +89,11 @@ def parse_board(text: str, argument: str = "", also: str = "") -> Target:
         raise InputError(
             f"{argument}{text}: {pitch:g} m from point to point; PITCH is in m: if you meant mm, say {pitch / 1e3:g}"
         )
+    if kind == "acircles" and rows % 2 == 0:
+        raise InputError(
+            f"{argument}{text}: {rows} rows, expected an odd number: with an even one the board looks the same turned "
+            "by half, and its dots are taken for one another"
+        )
     if kind == "charuco":
         columns, rows = columns - 1, rows - 1
     row, column = np.divmod(np.arange(columns * rows), columns)

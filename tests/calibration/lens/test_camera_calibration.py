@@ -288,6 +288,7 @@ def test_absurd_distances_hint_at_the_unit(rng: np.random.Generator) -> None:
         ("chess:9x6:0.025", "expected KIND:COLSxROWS:PITCH"),
         ("chessboard:9:0.025", "expected KIND:COLSxROWS:PITCH"),
         ("chessboard:9x6:25", "if you meant mm, say 0.025"),
+        ("acircles:4x10:0.02", "10 rows, expected an odd number"),
         ("chessboard:2x6:0.025", "expected 3 x 3"),
         ("leds:nowhere.yaml", "nowhere.yaml"),
     ],
