@@ -282,36 +282,6 @@ def test_absurd_distances_hint_at_the_unit(rng: np.random.Generator) -> None:
         assert words in (implausible(other) or "")
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("chess:9x6:0.025", "expected KIND:COLSxROWS:PITCH"),
-        ("chessboard:9:0.025", "expected KIND:COLSxROWS:PITCH"),
-        ("chessboard:9x6:25", "if you meant mm, say 0.025"),
-        ("acircles:4x10:0.02", "10 rows, expected an odd number"),
-        ("chessboard:2x6:0.025", "expected 3 x 3"),
-        ("leds:nowhere.yaml", "nowhere.yaml"),
-    ],
-)
-def test_a_target_that_is_none_is_refused(text: str, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        parse_target(text)
-
-
-@pytest.mark.parametrize(
-    ("rows", "words"),
-    [
-        ("[0, 0, 0], [1, 0, 0]", "2 of them, expected 6"),
-        ("[0,0,0],[1,0,0],[2,0,0],[3,0,0],[4,0,0],[5,0,0]", "on one line"),
-        ("[0,0,0],[1,0,0],[2,1,0],[3,0,1],[4,2,0],[5,0,0]", "not in one plane"),
-    ],
-)
-def test_an_led_board_that_is_none_is_refused(tmp_path: Path, rows: str, words: str) -> None:
-    (tmp_path / "board.yaml").write_text(f"leds: [{rows}]\n")
-    with pytest.raises(InputError, match=words):
-        parse_target(f"leds:{tmp_path / 'board.yaml'}")
-
-
 def test_the_written_file_is_the_lens(tmp_path: Path, rng: np.random.Generator) -> None:
     small = Camera("cam", 640, 480, TRUE.matrix, "plumb_bob", np.array([-0.1, 1e-5, -3e-12, 2e20, 0.0]))
     (tmp_path / "c.yaml").write_text(camera_text(small))

@@ -196,7 +196,7 @@ def test_the_command_writes_a_rig_that_needs_no_option(
     told = capsys.readouterr().out
     assert re.search(r"refit: f 1395.80 -> (1399\.9|1400\.0)\d \+- 0\.0\d", told), told
     assert "left as they were: k3" in told
-    assert "z_correction: none" in told
+    assert "z_correction: not needed" in told
     floor = z_rms(true, true, others)
     assert z_rms(true, load_rig(out), others) < 1.1 * floor
     # Comments are kept, in both files; the camera lies beside.
