@@ -1,4 +1,4 @@
-"""The pages that people read, and what is to be checked in them: blocks, commands, links, marks of what is pending."""
+"""The pages that people read, and what is to be checked in them: blocks, commands, links."""
 
 import re
 import shlex
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tests.helpers import REPOSITORY
 
-FENCE = re.compile(r"^(?:<!-- pending: (?P<pending>[^>]*?) -->\n)?```(?P<language>\w+)\n(?P<text>.*?)^```", re.M | re.S)
+FENCE = re.compile(r"^```(?P<language>\w+)\n(?P<text>.*?)^```", re.M | re.S)
 
 
 def pages() -> list[Path]:
@@ -22,12 +22,11 @@ def pages() -> list[Path]:
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block of a page; ``pending`` names what it waits for: commands that are still being written."""
+    """A fenced block of a page."""
 
     page: str
     language: str
     text: str
-    pending: str = ""
 
     @property
     def commands(self) -> list[list[str]]:
@@ -36,9 +35,9 @@ class Block:
 
 
 def blocks(language: str) -> list[Block]:
-    """All blocks in a language, the pending ones too."""
+    """All blocks in a language."""
     return [
-        Block(str(page.relative_to(REPOSITORY)), language, found["text"], found["pending"] or "")
+        Block(str(page.relative_to(REPOSITORY)), language, found["text"])
         for page in pages()
         for found in FENCE.finditer(page.read_text())
         if found["language"] == language

@@ -31,8 +31,7 @@ CAMERA = (DEMO_RIG.parent / "camera.yaml").read_text()
 ENDPOINT = "tcp/127.0.0.1:7447"
 RECORDING = "recordings/demo-20261123T101500Z"
 OTHERS = ("make", "pip", "git", "cd", "v4l2-ctl", ".venv/bin/python")  # what pages run beside asterism
-SHELL = [block for block in blocks("sh") if not block.pending]
-PENDING = [block for block in blocks("sh") if block.pending]
+SHELL = blocks("sh")
 
 
 def parses(words: list[str]) -> bool:
@@ -59,7 +58,7 @@ def lines(chosen: list[Block]) -> list[tuple[str, list[str]]]:
 
 
 def test_they_show_every_command() -> None:
-    shown = {words[1] for _, words in lines(blocks("sh")) if words[0] == "asterism"}
+    shown = {words[1] for _, words in lines(SHELL) if words[0] == "asterism"}
     assert shown >= COMMANDS.keys() - {"demo"}  # that is `make demo`
 
 
@@ -68,20 +67,12 @@ def test_their_commands_are_commands(page: str, words: list[str]) -> None:
     assert is_command(words), f"{page}: {' '.join(words)}"
 
 
-@pytest.mark.parametrize("block", PENDING, ids=lambda block: f"{block.page}: {block.pending}")
-def test_what_is_pending_is_still_missing(block: Block) -> None:
-    assert not all(is_command(words) for words in block.commands), (
-        f"{block.page}: the commands marked `pending: {block.pending}` are commands now; take the mark away"
-    )
-
-
 def test_commands_named_in_a_sentence_exist() -> None:
-    waiting = {words[1] for _, words in lines(PENDING)}
     for page in pages():
         if page.name == "CHANGELOG.md":
             continue
         for name in re.findall(r"`(?:\.venv/bin/)?asterism ([a-z]+)", page.read_text()):
-            assert name in waiting or parses([name, "--help"]), f"{page.name}: asterism {name}"
+            assert parses([name, "--help"]), f"{page.name}: asterism {name}"
 
 
 def test_make_words_are_in_the_makefile() -> None:
