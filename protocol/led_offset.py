@@ -5,12 +5,11 @@ side is told by one number an angle: where on the axis that crossing lies. The f
 """
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from asterism.protocol.geometry import Floats, frozen_array
-from asterism.protocol.yaml_file import Section, parse_yaml, read_yaml
+from asterism.protocol.yaml_file import Section, parse_yaml
 
 MOST_TERMS = 8
 LARGEST_M = 0.05  # no LED's light seems to come from farther off
@@ -40,13 +39,10 @@ class LedOffset:
         return np.asarray(np.polynomial.polynomial.polyval(np.minimum(sin2, self.limit), self.axial_shift), np.float64)
 
 
-def load_offset(path: Path) -> LedOffset:
-    """Read a led.yaml. Raises InputError with file, key, what was found and what is accepted."""
-    return _offset(read_yaml(path))
-
-
 def parse_offset(text: str, name: str) -> LedOffset:
-    """The offset that the text of a led.yaml describes. Raises InputError as `load_offset` does."""
+    """The offset that the text of a led.yaml describes. Raises InputError with file, key, what was found and what is
+    accepted.
+    """
     return _offset(parse_yaml(text, name))
 
 
