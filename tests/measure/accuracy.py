@@ -4,8 +4,8 @@ FOLDER holds `rig.yaml`, `frames/` and their truth, as `asterism simulate` write
 simulated first, seeded: the demonstration's five robots as they drive, with every tenth LED hidden, among 30 glints,
 with both, and one robot shown by hand, tilted to all sides. Every frame is located alone, as `asterism locate
 --independent` does. "wrong": more than 20 mm off, or a robot that is not there. "tilt": more than 5 degrees off, with
-neither `alternative` nor the covariance saying so. NEES is the squared error weighted by the covariance; honest
-covariances average 6.
+neither `alternative` nor the covariance saying so. "either": the share of poses on six LEDs that are TILT_AMBIGUOUS.
+NEES is the squared error weighted by the covariance; honest covariances average 6.
 """
 
 import sys
@@ -53,8 +53,11 @@ def row(folder: Path) -> list[str]:
         return cells
     errors = np.abs([robot.error for robot in right])
     nees = [robot.nees for robot in right if not robot.tilted]
+    whole = [robot.answer for robot in right if robot.answer is not None and len(robot.answer.leds) == 6]
+    either = sum(answer.alternative is not None for answer in whole)
     return [
         *cells,
+        f"{100 * either / max(len(whole), 1):.0f} %",
         f"{1e3 * np.median(errors[:, :2]):.4f}",
         f"{1e3 * np.median(errors[:, 2]):.3f}",
         f"{np.degrees(np.median(np.linalg.norm(errors[:, 3:], axis=1))):.3f}",
@@ -85,7 +88,7 @@ def main(folders: list[Path], console: Console) -> None:
             main(simulate(Path(name)), console)
         return
     table = Table(title="each frame alone; errors are medians", box=box.SIMPLE_HEAD, pad_edge=False)
-    headings = ("frames", "LEDs", "found", "wrong", "tilt", "x,y mm", "z mm", "deg", "NEES", "median")
+    headings = ("frames", "LEDs", "found", "wrong", "tilt", "either", "x,y mm", "z mm", "deg", "NEES", "median")
     for heading in headings:
         table.add_column(heading, justify="left" if heading == "frames" else "right")
     for folder in track(folders, description="locating", transient=True, disable=not console.is_terminal):
