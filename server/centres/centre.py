@@ -7,15 +7,14 @@ from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
 from asterism.server.centres.clip import fit_clip
-from asterism.server.centres.edge_model import BLUR_PX, edge_room, fit_edge_model
+from asterism.server.centres.edge_model import edge_room, fit_edge_model
 from asterism.server.centres.grey_square import fit_grey_square
-from asterism.server.centres.leaning import fit_leaning
+from asterism.server.centres.near_spots import MOST_NEIGHBOURS, neighbours_of
 from asterism.server.centres.zernike import fit_zernike
 from asterism.server.compiled import compiled
 from asterism.server.segmentation.order import ascending
 from asterism.server.segmentation.pixels import room_for
 from asterism.server.segmentation.spot_table import (
-    AT_EDGE,
     FATE,
     HEIGHT,
     MISFIT,
@@ -23,7 +22,6 @@ from asterism.server.segmentation.spot_table import (
     SEMI_A,
     SEMI_B,
     SHOULDER,
-    TOO_FAINT,
     TOUCHING,
     UNEXPLAINED,
     WX0,
@@ -41,49 +39,8 @@ LEAST_TELLING_PX, ROUND = 1.8, 0.7  # small and flat spots do not: the model's o
 STRANGE_MISFIT = 1.6  # beyond this the model does not hold, and the centre may be off
 GOOD_MISFIT, EVEN = 1.3, 2.5  # a fit with no more misfit and no more light to one side has nothing beside it
 MISFIT_SHIFT_PX = 0.05  # by about this much where it is twice as large as noise makes it
-NEIGHBOUR_REACH_PX = 9.0  # spots farther apart than this, edge to edge, do not disturb one another
-MOST_NEIGHBOURS = 8
 ONE_SIDED = 4.5  # sigmas of light to one side of a spot beyond which there is other light
-LEANING_ERROR_PX = 0.06  # the light beside a spot is no exact Gaussian
 UNEXPLAINED_LIGHT_PX = 0.15  # light to one side that no fit explains moves the centre about this far
-TOUCHING_PX = 4.0  # a spot that was split from another is fitted together with it if it is this near
-LARGEST_LEANING = 3.0  # and not this many times larger: a lamp is no round Gaussian
-
-
-@compiled
-def _neighbours_of(spots, order, place, widest, neighbours, other):
-    """Fill ``neighbours`` (k, 3) x, y, radius px with the spots near the one at ``place``; return their count.
-
-    ``other`` (4,) receives x, y, height and radius of the brightest of those that were split from it, if it is no
-    lamp; its height is 0 where there is none.
-    """
-    n = order.shape[0]
-    spot = spots[order[place]]
-    count = 0
-    other[:] = 0.0
-    for direction in (-1, 1):
-        step = place + direction
-        while 0 <= step < n:
-            near = spots[order[step]]
-            if abs(near[X] - spot[X]) > spot[SEMI_A] + widest + NEIGHBOUR_REACH_PX:
-                break
-            away = math.hypot(near[X] - spot[X], near[Y] - spot[Y])
-            gap = away - spot[SEMI_A] - near[SEMI_A]
-            # What the spot lies in the middle of is its background, not its neighbour.
-            # Neither are those whose extent is not known: cut off by the edge, or hardly there.
-            bright = near[FATE] not in (TOO_FAINT, AT_EDGE)
-            if bright and gap < NEIGHBOUR_REACH_PX and away > near[SEMI_A] and count < MOST_NEIGHBOURS:
-                neighbours[count, 0], neighbours[count, 1], neighbours[count, 2] = (
-                    near[X],
-                    near[Y],
-                    near[SEMI_A],
-                )
-                count += 1
-                beside = spot[TOUCHING] > 0.0 and near[TOUCHING] > 0.0 and gap < TOUCHING_PX
-                if beside and near[HEIGHT] > other[2] and near[SEMI_A] < LARGEST_LEANING * spot[SEMI_A]:
-                    other[0], other[1], other[2], other[3] = near[X], near[Y], near[HEIGHT], near[SEMI_A]
-            step += direction
-    return count
 
 
 @compiled
@@ -158,7 +115,7 @@ def _refine_edge_model(image, spots, centres, covariances):
     for place in range(order.shape[0]):
         k = order[place]
         if spots[k, FATE] == UNEXPLAINED:
-            count = _neighbours_of(spots, order, place, widest, neighbours, other)
+            count = neighbours_of(spots, order, place, widest, neighbours, other)
             fit_edge_model(image, spots[k], neighbours[:count], GAIN, room, out)
             _take(spots[k], out, other, True, centres[k], covariances[k], gain)
     return _scale(spots, covariances, gain)
@@ -171,7 +128,7 @@ def _refine_grey_square(image, spots, centres, covariances):
     for place in range(order.shape[0]):
         k = order[place]
         if spots[k, FATE] == UNEXPLAINED:
-            count = _neighbours_of(spots, order, place, widest, neighbours, other)
+            count = neighbours_of(spots, order, place, widest, neighbours, other)
             fit_grey_square(image, spots[k], neighbours[:count], GAIN, out)
             _take(spots[k], out, other, False, centres[k], covariances[k], gain)
     return _scale(spots, covariances, gain)
@@ -185,7 +142,7 @@ def _refine_clip(image, spots, centres, covariances):
     for place in range(order.shape[0]):
         k = order[place]
         if spots[k, FATE] == UNEXPLAINED:
-            count = _neighbours_of(spots, order, place, widest, neighbours, other)
+            count = neighbours_of(spots, order, place, widest, neighbours, other)
             fit_clip(image, spots[k], neighbours[:count], GAIN, pixels, out)
             _take(spots[k], out, other, False, centres[k], covariances[k], gain)
     return _scale(spots, covariances, gain)
@@ -198,7 +155,7 @@ def _refine_zernike(image, spots, centres, covariances):
     for place in range(order.shape[0]):
         k = order[place]
         if spots[k, FATE] == UNEXPLAINED:
-            count = _neighbours_of(spots, order, place, widest, neighbours, other)
+            count = neighbours_of(spots, order, place, widest, neighbours, other)
             fit_zernike(image, spots[k], neighbours[:count], GAIN, out)
             _take(spots[k], out, other, False, centres[k], covariances[k], gain)
     return _scale(spots, covariances, gain)
@@ -223,38 +180,3 @@ def refine_centres(
     """
     gain: float = REFINERS[estimator](image, spots, centres, covariances)
     return gain
-
-
-@compiled
-def refine_leaning(image, spots, rows, centres, covariances):
-    """Centre the spots of ``rows`` that other light leans on anew, together with that light.
-
-    ``centres`` and ``covariances`` as `refine_centres` left them are changed where the fit succeeds; returns how
-    many were.
-    """
-    changed = 0
-    order = ascending(spots[:, X])
-    places = np.empty(spots.shape[0], np.int64)
-    widest = 0.0
-    for place in range(order.shape[0]):
-        places[order[place]] = place
-        widest = max(widest, spots[place, SEMI_A])
-    neighbours, apart = np.empty((MOST_NEIGHBOURS, 3)), np.empty((MOST_NEIGHBOURS, 3))
-    other, out = np.empty(4), np.empty(6)
-    for k in rows:
-        spot = spots[k]
-        if spot[SHOULDER] == 0.0:
-            continue
-        count = _neighbours_of(spots, order, places[k], widest, neighbours, other)
-        n_apart = 0
-        for i in range(count):
-            if neighbours[i, 0] != other[0] or neighbours[i, 1] != other[1]:
-                apart[n_apart] = neighbours[i]
-                n_apart += 1
-        if fit_leaning(image, spot, other, apart[:n_apart], BLUR_PX, GAIN, out):
-            centres[k, 0], centres[k, 1] = out[0], out[1]
-            covariances[k, 0] = out[2] + (LEANING_ERROR_PX * out[5]) ** 2
-            covariances[k, 1] = out[3]
-            covariances[k, 2] = out[4] + (LEANING_ERROR_PX * out[5]) ** 2
-            changed += 1
-    return changed

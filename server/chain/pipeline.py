@@ -7,7 +7,7 @@ from asterism.protocol.camera import check_image_size
 from asterism.protocol.errors import InputError
 from asterism.protocol.rig import Rig
 from asterism.server.centres.blobs import Blobs, find_blobs
-from asterism.server.centres.centre import refine_leaning
+from asterism.server.centres.leaning_spots import refine_leaning
 from asterism.server.chain.answers import answers_of
 from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.identity.identify import identify

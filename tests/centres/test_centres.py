@@ -6,7 +6,8 @@ from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import ESTIMATORS
-from asterism.server.centres.centre import GAIN, REFINERS, refine_centres, refine_leaning
+from asterism.server.centres.centre import GAIN, REFINERS, refine_centres
+from asterism.server.centres.leaning_spots import refine_leaning
 from asterism.server.segmentation.spot_table import MISFIT, SHOULDER, X, Y
 from tests.centres.rendering import Canvas
 from tests.segmentation.test_segmentation import blobs_of

@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from asterism.protocol.messages import Fate
 from asterism.server.centres.blobs import Blobs, find_blobs
-from asterism.server.centres.centre import refine_leaning
+from asterism.server.centres.leaning_spots import refine_leaning
 from asterism.server.segmentation.background import BLOCK_ROWS, background_of, interpolate, seed_thresholds
 from asterism.server.segmentation.components import AREA, PEAK, SATURATED, X0, X1, Y0, Y1, connect, hot_width
 from asterism.server.segmentation.segment import Scratch
