@@ -36,9 +36,10 @@ GAIN = 0.035  # expected variance per grey level of light: a sensor of 7000 elec
 GAIN_SIGMA = 0.02  # how well that is known before a frame's own residuals have told
 CLEAN_MISFIT = 1.5  # chi squared per degree of freedom up to which a spot tells of the sensor's noise
 LEAST_TELLING_PX, ROUND = 1.8, 0.7  # small and flat spots do not: the model's own error looks like noise there
-STRANGE_MISFIT = 1.6  # beyond this the model does not hold, and the centre may be off
 GOOD_MISFIT, EVEN = 1.3, 2.5  # a fit with no more misfit and no more light to one side has nothing beside it
-MISFIT_SHIFT_PX = 0.05  # by about this much where it is twice as large as noise makes it
+USUAL_MISFIT = 1.3  # what is left when all that is even is free; more is other light,
+STRANGE = 2.0  # which moves the centre by about this many times its noise for every unit of misfit, squared
+LEANING = 3.0  # raised by more than this, the variance is other light's: it is looked for when a robot claims the spot
 ONE_SIDED = 4.5  # sigmas of light to one side of a spot beyond which there is other light
 UNEXPLAINED_LIGHT_PX = 0.15  # light to one side that no fit explains moves the centre about this far
 
@@ -69,10 +70,12 @@ def _take(spot, out, other, knows_misfit, centre, covariance, gain):
 
     ``knows_misfit``: the estimator tells how well its model fits.
     """
+    # Odd light raises the variance; where it is much, as a shift that other light explains.
+    raised = (1.0 + STRANGE * max(out[6] - USUAL_MISFIT, 0.0)) * (1.0 + out[9]) - 1.0
     if out[5] > ONE_SIDED or other[2] > 0.0:
         spot[SHOULDER] = max(spot[SHOULDER], UNEXPLAINED_LIGHT_PX)
-    elif out[6] > STRANGE_MISFIT:
-        shift = min(MISFIT_SHIFT_PX * math.sqrt(out[6] - 1.0), UNEXPLAINED_LIGHT_PX)
+    elif raised > LEANING:
+        shift = min(math.sqrt(0.5 * raised * (out[2] + out[4])), UNEXPLAINED_LIGHT_PX)
         spot[SHOULDER] = max(spot[SHOULDER], shift)
     elif knows_misfit and out[6] < GOOD_MISFIT and out[5] < EVEN and spot[TOUCHING] == 0.0:
         spot[SHOULDER] = 0.0  # the moments were misled, by saturation or by noise
@@ -82,7 +85,8 @@ def _take(spot, out, other, knows_misfit, centre, covariance, gain):
         gain[1] += out[8]
     spot[MISFIT] = out[6]
     centre[0], centre[1] = out[0], out[1]
-    covariance[0], covariance[1], covariance[2] = out[2], out[3], out[4]
+    scale = 1.0 if raised > LEANING else 1.0 + raised
+    covariance[0], covariance[1], covariance[2] = scale * out[2], scale * out[3], scale * out[4]
 
 
 @compiled
@@ -110,7 +114,7 @@ def _scale(spots, covariances, gain):
 @compiled
 def _refine_edge_model(image, spots, centres, covariances):
     order, widest, largest, gain = _survey(spots, centres, covariances)
-    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(9)
+    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(10)
     room = edge_room(largest)
     for place in range(order.shape[0]):
         k = order[place]
@@ -124,7 +128,7 @@ def _refine_edge_model(image, spots, centres, covariances):
 @compiled
 def _refine_grey_square(image, spots, centres, covariances):
     order, widest, _, gain = _survey(spots, centres, covariances)
-    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(9)
+    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(10)
     for place in range(order.shape[0]):
         k = order[place]
         if spots[k, FATE] == UNEXPLAINED:
@@ -137,7 +141,7 @@ def _refine_grey_square(image, spots, centres, covariances):
 @compiled
 def _refine_clip(image, spots, centres, covariances):
     order, widest, largest, gain = _survey(spots, centres, covariances)
-    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(9)
+    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(10)
     pixels = room_for(largest)
     for place in range(order.shape[0]):
         k = order[place]
@@ -151,7 +155,7 @@ def _refine_clip(image, spots, centres, covariances):
 @compiled
 def _refine_zernike(image, spots, centres, covariances):
     order, widest, _, gain = _survey(spots, centres, covariances)
-    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(9)
+    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(10)
     for place in range(order.shape[0]):
         k = order[place]
         if spots[k, FATE] == UNEXPLAINED:

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from asterism.server.centres.blurred_ellipse import REACH, distance_to_ellipse, gauss, normal
-from asterism.server.centres.edge_model import SATURATED
+from asterism.server.centres.edge_sums import SATURATED
 from asterism.server.centres.window import leave_out
 from asterism.server.compiled import compiled, compiled_sums
 from asterism.server.pose.planar import cholesky_solve

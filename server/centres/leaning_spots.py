@@ -3,7 +3,7 @@
 import numpy as np
 
 from asterism.server.centres.centre import GAIN
-from asterism.server.centres.edge_model import BLUR_PX
+from asterism.server.centres.edge_steps import BLUR_PX
 from asterism.server.centres.leaning import fit_leaning
 from asterism.server.centres.near_spots import MOST_NEIGHBOURS, neighbours_of
 from asterism.server.compiled import compiled

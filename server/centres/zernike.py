@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from asterism.protocol.geometry import Floats
-from asterism.server.centres.edge_model import BLUR_PX
+from asterism.server.centres.edge_steps import BLUR_PX
 from asterism.server.compiled import compiled
 from asterism.server.pose.planar import cholesky_solve
 from asterism.server.segmentation.spot_table import (
