@@ -9,11 +9,15 @@ import numpy as np
 
 from asterism.server.compiled import compiled
 from asterism.server.segmentation.background import BLOCK_ROWS
-from asterism.server.segmentation.pixels import index
+from asterism.server.segmentation.pixels import Box, index
 
-# Columns of the component table.
-X0, X1, Y0, Y1, AREA, PEAK, SATURATED = range(7)  # X1 and Y1 exclusive
-COMPONENT_COLUMNS = 7
+# Columns of the component table; X1 and Y1 are exclusive, START is the column of a pixel of it in its first row.
+X0, X1, Y0, Y1, AREA, PEAK, SATURATED, START = range(8)
+COMPONENT_COLUMNS = 8
+
+# Columns of the runs: row, first column, last but one, number of the component.
+ROW, FIRST, END, NUMBER = range(4)
+RUN_COLUMNS = 4
 
 HOT_COLUMNS = 64  # that cold places are skipped by
 
@@ -21,6 +25,12 @@ HOT_COLUMNS = 64  # that cold places are skipped by
 def hot_width(width: int) -> int:
     """Columns of the marks for an image of that width, px: a multiple of HOT_COLUMNS."""
     return -(-width // HOT_COLUMNS) * HOT_COLUMNS
+
+
+@compiled
+def box_of(component):
+    """The box of a row of the component table."""
+    return Box(np.int64(component[X0]), np.int64(component[X1]), np.int64(component[Y0]), np.int64(component[Y1]))
 
 
 @compiled
@@ -76,10 +86,11 @@ def _hot_segments(mark, words, segments):
 
 @compiled
 def connect(image, thresholds, hot, runs, parent, table):
-    """Fill ``table`` (capacity, COMPONENT_COLUMNS) int32 with the components; return how many there are.
+    """Fill ``table`` (capacity, COMPONENT_COLUMNS) int32 with the components and ``runs`` (capacity, RUN_COLUMNS) int32
+    with their rows' stretches; return how many there are of both.
 
-    ``hot`` (hot_width,) uint8, zero beyond the image's width, ``runs`` (capacity, 3) and ``parent`` (capacity,) are
-    scratch. Returns -1 when a capacity does not suffice.
+    ``hot`` (hot_width,) uint8, zero beyond the image's width, and ``parent`` (capacity,) are scratch. Returns -1
+    components when a capacity does not suffice.
     """
     height, width = image.shape
     count = 0
@@ -103,13 +114,13 @@ def connect(image, thresholds, hot, runs, parent, table):
                         inside = not inside
                         if inside:
                             if count == runs.shape[0]:
-                                return -1
-                            runs[count, 0], runs[count, 1] = y, x
+                                return -1, count
+                            runs[count, ROW], runs[count, FIRST] = y, x
                         else:
-                            runs[count, 2] = x
+                            runs[count, END] = x
                             count += 1
                 if inside:
-                    runs[count, 2] = segments[s, 1]
+                    runs[count, END] = segments[s, 1]
                     count += 1
             if count == first:
                 continue
@@ -118,10 +129,10 @@ def connect(image, thresholds, hot, runs, parent, table):
             above = before
             for k in range(first, count):
                 parent[k] = k
-                while above < before_end and runs[above, 2] < runs[k, 1]:
+                while above < before_end and runs[above, END] < runs[k, FIRST]:
                     above += 1
                 other = above
-                while other < before_end and runs[other, 1] <= runs[k, 2]:
+                while other < before_end and runs[other, FIRST] <= runs[k, END]:
                     a, b = _root(parent, k), _root(parent, other)
                     if a < b:
                         parent[b] = a
@@ -134,19 +145,20 @@ def connect(image, thresholds, hot, runs, parent, table):
     components = 0
     for k in range(count):
         root = _root(parent, k)
-        y, start, end = runs[k, 0], runs[k, 1], runs[k, 2]
+        y, start, end = runs[k, ROW], runs[k, FIRST], runs[k, END]
+        # The root comes before every other run of its component, in its first row.
         if root == k:
             if components == table.shape[0]:
-                return -1
+                return -1, count
+            runs[k, NUMBER] = components
             entry = table[components]
             entry[X0], entry[X1], entry[Y0], entry[Y1] = width, 0, y, y + 1
             entry[AREA] = entry[PEAK] = entry[SATURATED] = 0
-            # The root comes before every other run of its component: reuse its slot for the component's number.
-            runs[k, 0] = -1 - components
+            entry[START] = start
             components += 1
-            entry = table[components - 1]
         else:
-            entry = table[-1 - runs[root, 0]]
+            runs[k, NUMBER] = runs[root, NUMBER]
+            entry = table[runs[k, NUMBER]]
         entry[X0] = min(entry[X0], start)
         entry[X1] = max(entry[X1], end)
         entry[Y1] = max(entry[Y1], y + 1)
@@ -158,4 +170,4 @@ def connect(image, thresholds, hot, runs, parent, table):
             peak = max(peak, value)
             saturated += value == 255
         entry[PEAK], entry[SATURATED] = peak, saturated
-    return components
+    return components, count

@@ -44,6 +44,17 @@ def cells_of(box):
 
 
 @compiled
+def grown(box, margin, within):
+    """A box with a margin on every side, as far as it stays within another."""
+    return Box(
+        max(box.x0 - margin, within.x0),
+        min(box.x1 + margin, within.x1),
+        max(box.y0 - margin, within.y0),
+        min(box.y1 + margin, within.y1),
+    )
+
+
+@compiled
 def reaches_edge(box, image):
     """Whether a box reaches the edge of the image, so that light may be cut off."""
     return box.x0 < 2 or box.y0 < 2 or box.x1 > image.shape[1] - 2 or box.y1 > image.shape[0] - 2

@@ -12,40 +12,56 @@ from numpy.typing import NDArray
 from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
 from asterism.server.segmentation.background import BLOCK_ROWS, background_of, seed_thresholds
-from asterism.server.segmentation.components import COMPONENT_COLUMNS, connect, hot_width
+from asterism.server.segmentation.components import COMPONENT_COLUMNS, RUN_COLUMNS, hot_width
+from asterism.server.segmentation.crowds import MOST_COMPONENTS, MOST_RUNS, cells_for, connect_all
+from asterism.server.segmentation.glare import LEAST_HALF, MOST_LEVELS, first_half, glares_of, lift
+from asterism.server.segmentation.opening import OpeningRoom, opening_room
 from asterism.server.segmentation.spot_table import FATE, HEIGHT, SEMI_A, SEMI_B, SPOT_COLUMNS
-from asterism.server.segmentation.spots import Background, Limits, measure_spots
+from asterism.server.segmentation.spots import Background, Limits, Seeds, measure_spots, tell_crowds
 
 SEED_SIGMAS = 5.0  # a pixel this far above its background may belong to a spot
 SEED_LEAST = 6.0  # grey levels; below that quantisation rules
-MOST_RUNS = 60_000
-MOST_SPOTS = 4_000
+SPLIT_SPOTS = 1000  # rows of the spot table for spots split from others, beyond one for each component
 
 
 class Scratch(NamedTuple):
-    """Work arrays for frames of one size, reused so that no frame pays for fresh memory: seed ``thresholds``
-    (blocks, w) of blocks of rows; ``hot``, ``runs``, ``parent`` and ``components`` as `connect` takes them; ``spots``
-    (MOST_SPOTS, SPOT_COLUMNS), which are found.
+    """Work arrays for frames of one size, reused so that no frame pays for fresh memory: seed ``thresholds`` and
+    ``bars``, those of the residue, (blocks, w) of blocks of rows; ``hot``, ``runs``, ``parent`` and ``components`` as
+    `connect` takes them; ``crowded`` cells as in `crowds`; ``painted`` and ``residue`` (h, w) and ``opening`` as in
+    `glare`; ``spots`` (capacity, SPOT_COLUMNS), which are found.
     """
 
     thresholds: NDArray[np.uint8]
+    bars: NDArray[np.uint8]
     hot: NDArray[np.uint8]
     runs: NDArray[np.int32]
     parent: NDArray[np.int32]
     components: NDArray[np.int32]
+    crowded: NDArray[np.uint8]
+    painted: NDArray[np.uint8]
+    residue: NDArray[np.uint8]
+    opening: OpeningRoom
     spots: Floats
 
     @staticmethod
     def of(height: int, width: int) -> "Scratch":
         """For frames of that size, px."""
         blocks = (height + BLOCK_ROWS - 1) // BLOCK_ROWS
+        cells = cells_for(height, width)
+        number = cells[0] * cells[1]
+        components = MOST_COMPONENTS * number
         return Scratch(
             np.empty((blocks, width), np.uint8),
+            np.empty((blocks, width), np.uint8),
             np.zeros(hot_width(width), np.uint8),
-            np.empty((MOST_RUNS, 3), np.int32),
-            np.empty(MOST_RUNS, np.int32),
-            np.empty((MOST_SPOTS, COMPONENT_COLUMNS), np.int32),
-            np.empty((MOST_SPOTS, SPOT_COLUMNS)),
+            np.empty((MOST_RUNS * number, RUN_COLUMNS), np.int32),
+            np.empty(MOST_RUNS * number, np.int32),
+            np.empty((components, COMPONENT_COLUMNS), np.int32),
+            np.zeros(cells, np.uint8),
+            np.empty((height, width), np.uint8),
+            np.empty((height, width), np.uint8),
+            opening_room(height, width),
+            np.empty(((1 + MOST_LEVELS) * (components + SPLIT_SPOTS) + number, SPOT_COLUMNS)),
         )
 
 
@@ -53,21 +69,31 @@ class Scratch(NamedTuple):
 def segment(image, largest_radius_px, masks, scratch):
     """Fill the spots of ``scratch`` with the bright spots of an (h, w) uint8 image; return how many.
 
-    ``masks`` (m, 4) are x0, y0, x1, y1 px inclusive. A frame so full of bright texture that its components overflow the
-    tables is segmented again with higher seed thresholds.
+    ``masks`` (m, 4) are x0, y0, x1, y1 px inclusive. Every pixel above its seed threshold lies in the window of a spot,
+    whatever its fate: what is too large to be one is told as such, and looked into (`glare`); so are cells too full of
+    texture (`crowds`).
     """
-    height, width = image.shape
     level, noise = background_of(image)
-    thresholds, components = scratch.thresholds, scratch.components
-    sigmas, least = SEED_SIGMAS, SEED_LEAST
-    while True:
-        seed_thresholds(level, noise, sigmas, least, height, width, thresholds)
-        count = connect(image, thresholds, scratch.hot, scratch.runs, scratch.parent, components)
-        if count >= 0:
+    scratch.crowded[:] = 0
+    seed_thresholds(level, noise, SEED_SIGMAS, SEED_LEAST, image.shape[0], image.shape[1], scratch.thresholds)
+    count, runs = connect_all(image, scratch.thresholds, scratch)
+    background, limits = Background(level, noise), Limits(SEED_SIGMAS, SEED_LEAST, largest_radius_px, masks)
+    seeds = Seeds(image, scratch.thresholds, False)
+    components = scratch.components[:count]
+    found = measure_spots(image, seeds, components, background, limits, scratch.spots[: count + SPLIT_SPOTS])
+    half = first_half(largest_radius_px)
+    for _ in range(MOST_LEVELS):
+        glares = glares_of(components)
+        if half < LEAST_HALF or not glares.any():
             break
-        sigmas, least = 1.5 * sigmas, 1.5 * least
-    limits = Limits(sigmas, least, largest_radius_px, masks)
-    return measure_spots(image, thresholds, components[:count], Background(level, noise), limits, scratch.spots)
+        lift(image, components, glares, scratch.runs[:runs], half, scratch)
+        scratch.bars[:] = 0
+        count, runs = connect_all(scratch.residue, scratch.bars, scratch)
+        seeds, components = Seeds(scratch.residue, scratch.bars, True), scratch.components[:count]
+        room = scratch.spots[found : found + count + SPLIT_SPOTS]
+        found += measure_spots(image, seeds, components, background, limits, room)
+        half //= 2
+    return found + tell_crowds(image, scratch.crowded, background, scratch.spots[found:])
 
 
 @compiled

@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from asterism.server.compiled import compiled
-from asterism.server.segmentation.background import interpolate
-from asterism.server.segmentation.components import AREA, PEAK, X0, X1, Y0, Y1
+from asterism.server.segmentation.background import BLOCK_ROWS, interpolate
+from asterism.server.segmentation.components import AREA, PEAK, box_of
+from asterism.server.segmentation.crowds import CELL_BLOCKS, CELL_PX
+from asterism.server.segmentation.glare import MOST_RISE, is_glare
 from asterism.server.segmentation.pixels import (
     COUNTS,
     SPARE,
@@ -21,6 +23,7 @@ from asterism.server.segmentation.pixels import (
     Box,
     cells_of,
     gather_box,
+    grown,
     pad,
     reaches_edge,
     room_for,
@@ -50,12 +53,11 @@ from asterism.server.segmentation.spot_table import (
     Y,
 )
 from asterism.server.segmentation.surroundings import ring_background, ring_quartile
-from asterism.server.segmentation.watershed import keep_group, watershed
+from asterism.server.segmentation.watershed import keep_group, most_regions, watershed
 
 MARGIN_PX = 3  # of the window around a spot; the ring of its outermost pixels shows the background
 REGION_MARGIN_PX = 4  # the same around the upper part of a region of a split component
 UPPER_PART = 0.3  # of a region's height above its surroundings
-LARGEST_COMPONENT_PX = 40_000  # beyond that a component is a patch of glare: not worth splitting
 SMALLEST_AREA_PX = 3
 
 
@@ -77,22 +79,31 @@ class Limits(NamedTuple):
     masks: Any
 
 
+class Seeds(NamedTuple):
+    """What components were found with: an ``image`` (h, w) uint8 and its ``thresholds`` (blocks, w). ``lifted``: it is
+    the residue of `glare`, light told above its surroundings, and not the frame.
+    """
+
+    image: Any
+    thresholds: Any
+    lifted: bool
+
+
+class Judged(NamedTuple):
+    """What the regions of a split component are judged by: the ``faintest`` that counts, grey levels; the
+    ``largest_radius_px``; the ``noise`` of its surroundings, grey levels.
+    """
+
+    faintest: float
+    largest_radius_px: float
+    noise: float
+
+
 class Regions(NamedTuple):
     """A split component: ``labels`` (cells,) of its window's pixels, and the ``table`` (n, 4), as `watershed` fills."""
 
     labels: Any
     table: Any
-
-
-@compiled
-def _grown(box, margin, within):
-    """A box with a margin on every side, as far as it stays within another."""
-    return Box(
-        max(box.x0 - margin, within.x0),
-        min(box.x1 + margin, within.x1),
-        max(box.y0 - margin, within.y0),
-        min(box.y1 + margin, within.y1),
-    )
 
 
 @compiled
@@ -121,23 +132,28 @@ def _gather_window(image, box, pixels):
 
 
 @compiled
-def _begin(image, component, box, background, limits, spot):
-    """Fill a spot with what its component tells; its fate where that settles it, else 0."""
+def _begin(image, component, lifted, background, limits, spot):
+    """Fill a spot with what its component tells; its fate where that settles it, else 0.
+
+    ``lifted``: it was found in glare, whose level and noise only its own surroundings tell.
+    """
     height, width = image.shape
+    box = box_of(component)
     cx, cy = 0.5 * (box.x0 + box.x1 - 1), 0.5 * (box.y0 + box.y1 - 1)
+    window = grown(box, MARGIN_PX, whole_of(image))
     spot[:] = 0.0
     spot[X], spot[Y] = cx, cy
-    spot[LEVEL] = interpolate(background.level, cy, cx, height, width)
     spot[NOISE] = interpolate(background.noise, cy, cx, height, width)
+    spot[LEVEL] = ring_quartile(image, window) if lifted else interpolate(background.level, cy, cx, height, width)
     spot[SEMI_A] = spot[SEMI_B] = math.sqrt(component[AREA] / math.pi)
-    spot[HEIGHT] = component[PEAK] - spot[LEVEL]
-    _set_window(spot, _grown(box, MARGIN_PX, whole_of(image)))
+    spot[HEIGHT] = component[PEAK] if lifted else component[PEAK] - spot[LEVEL]
+    _set_window(spot, window)
     for mask in limits.masks:
         if mask[0] <= cx <= mask[2] and mask[1] <= cy <= mask[3]:
             return MASKED
     if component[AREA] < SMALLEST_AREA_PX:
         return TOO_SMALL
-    if cells_of(box) > LARGEST_COMPONENT_PX:
+    if is_glare(box):
         return TOO_LARGE
     if reaches_edge(box, image) and max(box.x1 - box.x0, box.y1 - box.y0) <= 4.0 * limits.largest_radius_px:
         return AT_EDGE
@@ -145,48 +161,60 @@ def _begin(image, component, box, background, limits, spot):
 
 
 @compiled
-def measure_spots(image, thresholds, components, background, limits, spots):
+def measure_spots(image, seeds, components, background, limits, spots):
     """Fill ``spots`` (capacity, SPOT_COLUMNS) from the ``components`` (n, COMPONENT_COLUMNS); how many there are.
 
-    ``thresholds`` (blocks, w) are those the components were found with; `Background` and `Limits` as above.
+    ``seeds`` are those the components were found with; `Background` and `Limits` as above. There is a row at least for
+    each component: the capacity is no less than their number.
     """
-    labels = np.empty(0, np.int32)
-    table = np.empty((512, 4))
+    labels, table = np.empty(0, np.int32), np.empty((0, 4))
     pixels = room_for(1024)
     count = 0
-    for component in components:
-        if count == spots.shape[0]:
-            break
-        spot = spots[count]
-        box = Box(np.int64(component[X0]), np.int64(component[X1]), np.int64(component[Y0]), np.int64(component[Y1]))
-        spot[FATE] = _begin(image, component, box, background, limits, spot)
+    for k in range(components.shape[0]):
+        component, spot = components[k], spots[count]
+        spot[FATE] = _begin(image, component, seeds.lifted, background, limits, spot)
         if spot[FATE]:
             count += 1
             continue
-        window, base, noise = _window_of(spot), spot[LEVEL], spot[NOISE]
+        window, noise = _window_of(spot), spot[NOISE]
         faintest = max(limits.sigmas * noise, limits.least)
         cells = cells_of(window)
         if pixels.shape[1] < cells + SPARE:
             pixels = room_for(cells)
         n = _gather_window(image, window, pixels)
-        _set_background(spot, ring_background(pixels, n, window, base, noise, faintest))
+        level = spot[LEVEL]
+        plane, spot[NOISE] = ring_background(pixels, n, window, level, noise, faintest)
+        if seeds.lifted:
+            faintest = _faintest_lifted(limits, spot)
+            noise = spot[NOISE]
+        _set_background(spot, plane)
         area, share = shape(pixels, n, window, spot)
-        if spot[SHOULDER] == 0.0 and looks_single(component, spot, area) and not reaches_edge(box, image):
+        if spot[SHOULDER] == 0.0 and looks_single(component, spot, area) and not reaches_edge(box_of(component), image):
             spot[FATE] = judge(spot, area, share, faintest, limits.largest_radius_px)
             count += 1
             continue
         if labels.shape[0] < cells:
             labels = np.empty(cells, np.int32)
-        n_regions = watershed(image, thresholds, window, base, noise, labels, table)
+        if table.shape[0] < most_regions(window):
+            table = np.empty((most_regions(window), 4))
+        n_regions = watershed(seeds, window, 0.0 if seeds.lifted else level, noise, labels, table)
         regions = Regions(labels[:cells], table[:n_regions])
-        keep_group(regions.labels, regions.table, component)
-        largest = limits.largest_radius_px
-        count += _measure_regions(image, regions, spot.copy(), faintest, largest, pixels, spots[count:])
+        keep_group(regions.labels, regions.table, window, component)
+        # The components that are still to come keep a row each.
+        room = spots[count : spots.shape[0] - (components.shape[0] - 1 - k)]
+        limit = Judged(faintest, limits.largest_radius_px, noise)
+        count += _measure_regions(image, seeds, regions, spot.copy(), limit, pixels, room)
     return count
 
 
 @compiled
-def _region_boxes(image, regions, whole, boxes, cut):
+def _faintest_lifted(limits, spot):
+    """How far a spot in glare must stand out, grey levels: what makes a seed there is enough on any texture."""
+    return min(max(limits.sigmas * spot[NOISE], limits.least), MOST_RISE)
+
+
+@compiled
+def _region_boxes(seeds, regions, whole, boxes, cut):
     """Boxes (n, 4) x0, x1, y0, y1 (exclusive ends) of the upper part of every region, above what surrounds it.
 
     Lower down a region's pixels are shared out between neighbours by chance. ``cut`` (n,) is set where a region
@@ -194,6 +222,7 @@ def _region_boxes(image, regions, whole, boxes, cut):
     """
     labels, table, window = regions.labels, regions.table, _window_of(whole)
     width = window.x1 - window.x0
+    base = 0.0 if seeds.lifted else whole[LEVEL]
     boxes[:, 0], boxes[:, 1], boxes[:, 2], boxes[:, 3] = window.x1, window.x0, window.y1, window.y0
     cut[:] = False
     for y in range(window.y0, window.y1):
@@ -201,9 +230,9 @@ def _region_boxes(image, regions, whole, boxes, cut):
             region = labels[(y - window.y0) * width + x - window.x0]
             if region < 0:
                 continue
-            cut[region] |= reaches_edge(Box(x, x + 1, y, y + 1), image)
-            foot = max(table[region, 1], whole[LEVEL])
-            if image[y, x] > foot + UPPER_PART * (table[region, 0] - foot):
+            cut[region] |= reaches_edge(Box(x, x + 1, y, y + 1), seeds.image)
+            foot = max(table[region, 1], base)
+            if seeds.image[y, x] > foot + UPPER_PART * (table[region, 0] - foot):
                 box = boxes[region]
                 box[0], box[1] = min(box[0], x), max(box[1], x + 1)
                 box[2], box[3] = min(box[2], y), max(box[3], y + 1)
@@ -214,33 +243,70 @@ def _region_boxes(image, regions, whole, boxes, cut):
 
 
 @compiled
-def _measure_regions(image, regions, whole, faintest, largest_radius_px, pixels, spots):
+def _leave_to_others(regions, region, window, box, pixels):
+    """Let the pixels of a box that belong to another region, or component, not count; the free surroundings do."""
+    width = window.x1 - window.x0
+    for y in range(box.y0, box.y1):
+        for x in range(box.x0, box.x1):
+            if regions.labels[(y - window.y0) * width + x - window.x0] not in (region, -1):
+                pixels[COUNTS, (y - box.y0) * (box.x1 - box.x0) + x - box.x0] = ZERO
+
+
+@compiled
+def _measure_regions(image, seeds, regions, whole, limit, pixels, spots):
     """Measure every region of a split component as a spot of its own, into ``spots`` (capacity, SPOT_COLUMNS); return
-    how many there are. ``whole`` is the component's row.
+    how many there are. ``whole`` is the component's row. Where there are more than the capacity it is told as one.
     """
     window, n_regions = _window_of(whole), regions.table.shape[0]
-    width = window.x1 - window.x0
     boxes, cut = np.empty((max(n_regions, 1), 4), np.int64), np.empty(max(n_regions, 1), np.bool_)
-    alone = _region_boxes(image, regions, whole, boxes, cut)
+    alone = _region_boxes(seeds, regions, whole, boxes, cut)
+    if alone > spots.shape[0]:
+        spots[0] = whole
+        spots[0, FATE] = TOO_LARGE
+        return 1
     count = 0
     for region in range(n_regions):
-        if boxes[region, 0] >= boxes[region, 1] or count == spots.shape[0]:
+        if boxes[region, 0] >= boxes[region, 1]:
             continue
         upper = Box(boxes[region, 0], boxes[region, 1], boxes[region, 2], boxes[region, 3])
-        box = _grown(upper, REGION_MARGIN_PX, window)
+        box = grown(upper, REGION_MARGIN_PX, window)
         spot = spots[count]
         spot[:] = whole
         _set_window(spot, box)
         spot[TOUCHING] = alone > 1
         around = ring_quartile(image, box)
         n = _gather_window(image, box, pixels)
-        _set_background(spot, ring_background(pixels, n, box, around, whole[NOISE], faintest))
-        for y in range(box.y0, box.y1):
-            for x in range(box.x0, box.x1):
-                # The free surroundings count as the spot's own; other regions do not.
-                if regions.labels[(y - window.y0) * width + x - window.x0] not in (region, -1):
-                    pixels[COUNTS, (y - box.y0) * (box.x1 - box.x0) + x - box.x0] = ZERO
+        if seeds.lifted:
+            _leave_to_others(regions, region, window, box, pixels)
+        plane, spot[NOISE] = ring_background(pixels, n, box, around, limit.noise, limit.faintest)
+        _set_background(spot, plane)
+        _leave_to_others(regions, region, window, box, pixels)
         area, share = shape(pixels, n, box, spot)
-        spot[FATE] = AT_EDGE if cut[region] else judge(spot, area, share, faintest, largest_radius_px)
+        spot[FATE] = AT_EDGE if cut[region] else judge(spot, area, share, limit.faintest, limit.largest_radius_px)
         count += 1
+    return count
+
+
+@compiled
+def tell_crowds(image, crowded, background, spots):
+    """Fill a row of ``spots`` for every ``crowded`` cell of the image; return how many there are."""
+    height, width = image.shape
+    rows = CELL_BLOCKS * BLOCK_ROWS
+    count = 0
+    for cell_y in range(crowded.shape[0]):
+        for cell_x in range(crowded.shape[1]):
+            if not crowded[cell_y, cell_x]:
+                continue
+            spot = spots[count]
+            spot[:] = 0.0
+            box = Box(
+                CELL_PX * cell_x, min(CELL_PX * (cell_x + 1), width), rows * cell_y, min(rows * (cell_y + 1), height)
+            )
+            _set_window(spot, box)
+            spot[X], spot[Y] = 0.5 * (box.x0 + box.x1 - 1), 0.5 * (box.y0 + box.y1 - 1)
+            spot[LEVEL] = interpolate(background.level, spot[Y], spot[X], height, width)
+            spot[NOISE] = interpolate(background.noise, spot[Y], spot[X], height, width)
+            spot[SEMI_A] = spot[SEMI_B] = math.sqrt(cells_of(box) / math.pi)
+            spot[FATE] = TOO_LARGE
+            count += 1
     return count

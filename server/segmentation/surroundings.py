@@ -1,11 +1,14 @@
 """What surrounds a window: the plane through the ring of its outermost pixels, and their lower quartile."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from asterism.server.compiled import compiled, compiled_sums
 from asterism.server.segmentation.pixels import COUNTS, GREY, LANES, PX, PY, ZERO, f32
+
+SCATTER, NOISE_ROUNDS = 4.0, 5
 
 
 class Plane(NamedTuple):
@@ -38,7 +41,7 @@ def _solve_plane(sums):
 
 @compiled_sums
 def _add_up_plane(pixels, n, box, plane, below, above, sums):
-    """Fill ``sums`` (9,): number, x, y, xx, xy, yy, and z, xz, yz, over a window's outermost pixels near a plane.
+    """Fill ``sums`` (10,): number, x, y, xx, xy, yy, and z, xz, yz, zz, over a window's outermost pixels near a plane.
 
     ``box`` is the window; z is the height above the plane's level; left out is what lies more than ``below`` under the
     `Plane` or ``above`` over it.
@@ -47,7 +50,7 @@ def _add_up_plane(pixels, n, box, plane, below, above, sums):
     level, slope_x, slope_y = f32(plane.level), f32(plane.slope_x), f32(plane.slope_y)
     below, above = f32(-below), f32(above)
     reach_x, reach_y = f32(0.5 * (box.x1 - box.x0 - 1)), f32(0.5 * (box.y1 - box.y0 - 1))
-    number = sx = sy = sxx = sxy = syy = sz = sxz = syz = ZERO
+    number = sx = sy = sxx = sxy = syy = sz = sxz = syz = szz = ZERO
     for i in range(n // LANES * LANES):
         x, y, z = xs[i], ys[i], values[i] - level
         off = z - (slope_x * x + slope_y * y)
@@ -63,20 +66,31 @@ def _add_up_plane(pixels, n, box, plane, below, above, sums):
         sz += w * z
         sxz += wx * z
         syz += wy * z
+        szz += w * z * z
     sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = number, sx, sy, sxx, sxy, syy
-    sums[6], sums[7], sums[8] = sz, sxz, syz
+    sums[6], sums[7], sums[8], sums[9] = sz, sxz, syz, szz
+
+
+@compiled
+def _variance_about(fitted, sums):
+    """What the plane `fitted` to those ``sums`` leaves, per degree of freedom, grey levels squared."""
+    left = sums[9] - fitted.level * sums[6] - fitted.slope_x * sums[7] - fitted.slope_y * sums[8]
+    return left / max(sums[0] - 3.0, 1.0)
 
 
 @compiled
 def ring_background(pixels, n, box, guess, noise, rise):
-    """`Plane` through the outermost of the ``n`` pixels of a window.
+    """`Plane` through the outermost of the ``n`` pixels of a window, and their noise about it, at least ``noise``.
 
     Pixels that belong to something bright (``rise`` above the ``guess``, later beyond three sigma of the plane) are
-    left out. Source: least squares; the second fit drops the outliers of the first.
+    left out. Where those that are left scatter by more than the frame's noise and its chance (`SCATTER` sigma of a
+    variance of so many pixels), in glare, on texture, in compressed pictures, they tell the noise, and the limit of
+    three sigma is set anew: a few rounds lead from the frame's noise to the ring's, and stop before what stands out
+    from both. Source: least squares; the later fits drop the outliers of those before.
     """
     plane = Plane(guess, 0.0, 0.0)
-    sums = np.empty(9)
-    for attempt in range(2):
+    sums = np.empty(10)
+    for attempt in range(2 + NOISE_ROUNDS):
         above = rise if attempt == 0 else 3.0 * noise + 1.0
         below = 255.0 if attempt == 0 else above
         _add_up_plane(pixels, n, box, plane, below, above, sums)
@@ -86,7 +100,12 @@ def ring_background(pixels, n, box, guess, noise, rise):
         if not solved:
             break
         plane = Plane(plane.level + fitted.level, fitted.slope_x, fitted.slope_y)
-    return plane
+        if attempt > 0:
+            variance = _variance_about(fitted, sums)
+            if not variance > noise * noise * (1.0 + SCATTER * math.sqrt(2.0 / sums[0])):
+                break
+            noise = math.sqrt(variance)
+    return plane, noise
 
 
 @compiled

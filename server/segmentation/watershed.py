@@ -7,28 +7,38 @@ Soille, "Watersheds in digital spaces", PAMI 1991, on the few pixels of one comp
 import numpy as np
 
 from asterism.server.compiled import compiled
-from asterism.server.segmentation.components import AREA, PEAK
+from asterism.server.segmentation.components import START, Y0
 
 PROMINENCE = 0.12  # a peak that stands out less, as a share of its height, belongs to its neighbour
 
 
 @compiled
-def _top(regions, region):
-    """The highest region of the connected group that a region belongs to."""
-    while int(regions[region, 3]) != region:
-        region = int(regions[region, 3])
+def _follow(regions, region, column):
+    """The region that a column leads to in the end; the chain is shortened on the way, or it would grow long."""
+    after = int(regions[region, column])
+    while after != region:
+        beyond = int(regions[after, column])
+        regions[region, column] = beyond
+        region, after = after, beyond
     return region
 
 
 @compiled
-def watershed(image, thresholds, box, base, noise, labels, regions):
-    """Split the pixels of a box above the seed ``thresholds`` (blocks, w) into regions, one for every prominent peak.
+def _top(regions, region):
+    """The highest region of the connected group that a region belongs to."""
+    return _follow(regions, region, 3)
 
-    ``labels`` (cells,) int32 is filled with region numbers (-1 outside); ``regions`` (capacity, 4) float64 with
+
+@compiled
+def watershed(seeds, box, base, noise, labels, regions):
+    """Split the pixels of a box above their ``seeds``' thresholds into regions, one for every prominent peak.
+
+    ``labels`` (cells,) int32 is filled with region numbers (-1 outside); ``regions`` (`most_regions`, 4) float64 with
     peak, the level at which it meets a higher one (its saddle; -1 if it never does), the region it was joined to
     (itself if it stands alone), and a higher region of the connected group it belongs to (itself if it is the
     highest; see `_top`). Returns the number of regions, joined ones included.
     """
+    image, thresholds = seeds.image, seeds.thresholds
     x0, y0 = box.x0, box.y0
     width, height = box.x1 - x0, box.y1 - y0
     cells = width * height
@@ -66,23 +76,18 @@ def watershed(image, thresholds, box, base, noise, labels, regions):
                     best = label
                     best_value = float(image[ny + y0, nx + x0])
         if best < 0:
-            if count == regions.shape[0]:
-                continue
             regions[count, 0], regions[count, 1] = value, -1.0
             regions[count, 2] = regions[count, 3] = count
             labels[cell] = count
             count += 1
             continue
-        mine = best
-        while int(regions[mine, 2]) != mine:
-            mine = int(regions[mine, 2])
+        mine = _follow(regions, best, 2)
         for ny in range(max(cy - 1, 0), min(cy + 2, height)):
             for nx in range(max(cx - 1, 0), min(cx + 2, width)):
                 other = labels[ny * width + nx]
                 if other < 0:
                     continue
-                while int(regions[other, 2]) != other:
-                    other = int(regions[other, 2])
+                other = _follow(regions, other, 2)
                 if other == mine:
                     continue
                 low, high = max(other, mine), min(other, mine)  # regions are made in descending order of peak
@@ -98,27 +103,22 @@ def watershed(image, thresholds, box, base, noise, labels, regions):
                     mine = high if mine == low else mine
         labels[cell] = mine
     for cell in range(cells):
-        label = labels[cell]
-        if label >= 0:
-            while int(regions[label, 2]) != label:
-                label = int(regions[label, 2])
-            labels[cell] = label
+        if labels[cell] >= 0:
+            labels[cell] = _follow(regions, labels[cell], 2)
     return count
 
 
 @compiled
-def keep_group(labels, regions, component):
-    """Mark (-2) the pixels of other components that reach into the window; they are measured on their own."""
-    n_regions = regions.shape[0]
-    sizes = np.zeros(n_regions, np.int64)
-    for label in labels:
-        if label >= 0:
-            sizes[_top(regions, label)] += 1
-    mine = -1
-    for region in range(n_regions):
-        if sizes[region] == component[AREA] and regions[region, 0] == component[PEAK]:
-            mine = region
-            break
+def keep_group(labels, regions, box, component):
+    """Mark (-2) the pixels of other components that reach into the box; they are measured on their own."""
+    start = (component[Y0] - box.y0) * (box.x1 - box.x0) + component[START] - box.x0
+    mine = _top(regions, labels[start])
     for cell in range(labels.shape[0]):
         if labels[cell] >= 0 and _top(regions, labels[cell]) != mine:
             labels[cell] = -2
+
+
+@compiled
+def most_regions(box):
+    """How many regions a box can have: no two begin at pixels that touch."""
+    return ((box.x1 - box.x0 + 1) // 2) * ((box.y1 - box.y0 + 1) // 2)

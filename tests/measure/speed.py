@@ -31,7 +31,7 @@ from asterism.server.identity.plan import plan_for
 from asterism.server.segmentation.background import background_of, seed_thresholds
 from asterism.server.segmentation.components import connect
 from asterism.server.segmentation.segment import SEED_LEAST, SEED_SIGMAS
-from asterism.server.segmentation.spots import Background, Limits, measure_spots
+from asterism.server.segmentation.spots import Background, Limits, Seeds, measure_spots
 from asterism.server.simulation.simulate import Scene
 from tests.measure import tags
 from tests.measure.plain_chain import PlainChain
@@ -156,10 +156,11 @@ def parts_of_segment(rig: Rig, images: list[NDArray[np.uint8]]) -> dict[str, lis
         seeds = (SEED_SIGMAS, SEED_LEAST)
         timed(seed_thresholds, level, noise, *seeds, *image.shape, scratch.thresholds)
         tables = (scratch.runs, scratch.parent, scratch.components)
-        count = timed(connect, image, scratch.thresholds, scratch.hot, *tables)
+        count, _ = timed(connect, image, scratch.thresholds, scratch.hot, *tables)
         limits = Limits(*seeds, plan.largest_radius_px, plan.masks)
         components, background = scratch.components[:count], Background(level, noise)
-        timed(measure_spots, image, scratch.thresholds, components, background, limits, scratch.spots)
+        seeds_of = Seeds(image, scratch.thresholds, False)
+        timed(measure_spots, image, seeds_of, components, background, limits, scratch.spots)
     return {kernel: times_us[len(images) :] for kernel, times_us in taken.items()}
 
 
