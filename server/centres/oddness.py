@@ -15,17 +15,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from asterism.server.centres.edge_sums import BLUR, COUNT, CX, CY, LIT_1, LIT_2, LIT_FOUND, LIT_READ, PARAMETERS
+from asterism.server.centres.edge_sums import BLUR, COUNT, CX, CY, LIT_1, LIT_2, LIT_FOUND, LIT_READ
 from asterism.server.centres.even_profile import AT, AWAY_X, AWAY_Y, EDGE_KNOT, LEFT, LIT, STEEP, WEIGHT, spacing_of
-from asterism.server.compiled import compiled
-from asterism.server.segmentation.pixels import PX, PY
+from asterism.server.compiled import compiled, compiled_sums
+from asterism.server.segmentation.pixels import LANES, ONE, PX, PY, TWO, ZERO, f32
 
-ZONES = -3.5, -1.0, 0.0, 1.0  # sigmas of blur from the edge, inwards: where one zone of distance ends
-LEAST_PIXELS = 6.0  # of a zone, to tell anything
-TAKEN = 4  # degrees of freedom, by shift and slopes
-# Sums of a zone: dipole and quadrupole, information and score; pixels.
+ZONES = -99.0, -3.5, -1.0, 0.0, 1.0, 99.0  # sigmas of blur from the edge, inwards: where zones of distance end
+# Sums of a zone.
 XX, XY, YY, DX, DY, CC, CS, SS, QC, QS, PIXELS = range(11)
 ZONE_SUMS = 11
+LEAST_PIXELS = 6.0  # of a zone, to tell anything
+TAKEN = 4  # degrees of freedom, by shift and slopes
 
 
 class Moved(NamedTuple):
@@ -37,57 +37,25 @@ class Moved(NamedTuple):
     v: float
 
 
-@compiled
-def zone_room():
-    """Empty (zones, ZONE_SUMS)."""
-    return np.empty((5, ZONE_SUMS))
+@compiled_sums
+def take_step(pixels, n, p, moved, floor, rows, sums):
+    """Change what is left in ``rows`` (`even_profile`) by the step ``moved`` that has led to ``p``; return chi squared.
 
-
-@compiled
-def _in_zone(information_xx, information_xy, information_yy, x, y):
-    """Chi squared of two scores, and how many degrees of freedom it has."""
-    det = information_xx * information_yy - information_xy * information_xy
-    if not det > 1e-3 * information_xx * information_yy:
-        return 0.0, 0.0
-    return (information_yy * x * x - 2.0 * information_xy * x * y + information_xx * y * y) / det, 2.0
-
-
-@compiled
-def add_up_zones(pixels, n, p, moved, floor, rows, zones, sums):
-    """Sums of the zones over what `free_step`, which has moved the centre and the slopes by ``moved``, left.
-
-    ``rows`` are `even_profile`'s; ``floor`` is the pixels' variance without light. Fills LIT_ and COUNT of ``sums`` as
-    `edge_sums.add_up_centre` does; returns chi squared.
+    ``floor`` is the pixels' variance without light. Fills LIT_ and COUNT of ``sums`` as `edge_sums.add_up_centre` does.
     """
-    zones[:, :] = 0.0
-    scale = p[BLUR] / spacing_of(p)
-    edge_0, edge_1 = EDGE_KNOT + ZONES[0] * scale, EDGE_KNOT + ZONES[1] * scale
-    edge_2, edge_3 = EDGE_KNOT + ZONES[2] * scale, EDGE_KNOT + ZONES[3] * scale
-    chi2 = count = lit_1 = lit_2 = lit_read = lit_found = 0.0
-    for i in range(n):
-        w = float(rows[WEIGHT, i])
-        if w == 0.0:
-            continue
-        at, steep, lit = float(rows[AT, i]), float(rows[STEEP, i]), float(rows[LIT, i])
-        x, y = float(rows[AWAY_X, i]), float(rows[AWAY_Y, i])
-        dx, dy = float(pixels[PX, i]) - p[CX], float(pixels[PY, i]) - p[CY]
-        left = float(rows[LEFT, i]) - steep * (x * moved.x + y * moved.y) - dx * moved.u - dy * moved.v
-        zone = zones[int(at > edge_0) + int(at > edge_1) + int(at > edge_2) + int(at > edge_3)]
-        c, s = x * x - y * y, 2.0 * x * y
-        wr = w * left
-        zone[XX] += w * x * x
-        zone[XY] += w * x * y
-        zone[YY] += w * y * y
-        zone[DX] += wr * x
-        zone[DY] += wr * y
-        zone[CC] += w * c * c
-        zone[CS] += w * c * s
-        zone[SS] += w * s * s
-        zone[QC] += wr * c
-        zone[QS] += wr * s
-        zone[PIXELS] += 1.0
-        chi2 += wr * left
-        count += 1.0
+    xs, ys = pixels[PX], pixels[PY]
+    lefts, weights, steeps, lits = rows[LEFT], rows[WEIGHT], rows[STEEP], rows[LIT]
+    aways_x, aways_y = rows[AWAY_X], rows[AWAY_Y]
+    cx, cy, floor = f32(p[CX]), f32(p[CY]), f32(floor)
+    by_x, by_y, by_u, by_v = f32(moved.x), f32(moved.y), f32(moved.u), f32(moved.v)
+    chi2 = count = lit_1 = lit_2 = lit_read = lit_found = ZERO
+    for i in range(n // LANES * LANES):
+        w, lit = weights[i], lits[i]
+        shift = steeps[i] * (aways_x[i] * by_x + aways_y[i] * by_y) + (xs[i] - cx) * by_u + (ys[i] - cy) * by_v
+        left = lefts[i] - shift
+        lefts[i] = left
+        chi2 += w * left * left
+        count += ONE if w > ZERO else ZERO
         wl = w * w * lit
         lit_1 += w * lit
         lit_2 += wl * lit
@@ -97,23 +65,61 @@ def add_up_zones(pixels, n, p, moved, floor, rows, zones, sums):
     return chi2
 
 
+@compiled_sums
+def add_up_zone(rows, n, low, high, zone):
+    """Fill ``zone`` (ZONE_SUMS,): dipole and quadrupole of what is left between two places ``low`` and ``high`` among
+    the knots, information and score; pixels.
+    """
+    ats, lefts, weights, aways_x, aways_y = rows[AT], rows[LEFT], rows[WEIGHT], rows[AWAY_X], rows[AWAY_Y]
+    low, high = f32(low), f32(high)
+    xx = xy = yy = dx = dy = cc = cs = ss = qc = qs = count = ZERO
+    for i in range(n // LANES * LANES):
+        x, y = aways_x[i], aways_y[i]
+        w = weights[i] if ats[i] > low and ats[i] <= high else ZERO
+        c, s = x * x - y * y, TWO * x * y
+        wr, wx, wc = w * lefts[i], w * x, w * c
+        xx += wx * x
+        xy += wx * y
+        yy += w * y * y
+        dx += wr * x
+        dy += wr * y
+        cc += wc * c
+        cs += wc * s
+        ss += w * s * s
+        qc += wr * c
+        qs += wr * s
+        count += ONE if w > ZERO else ZERO
+    zone[XX], zone[XY], zone[YY], zone[DX], zone[DY] = xx, xy, yy, dx, dy
+    zone[CC], zone[CS], zone[SS], zone[QC], zone[QS], zone[PIXELS] = cc, cs, ss, qc, qs, count
+
+
 @compiled
-def judge_zones(zones, chi2, count, determined):
+def _explained(xx, xy, yy, x, y):
+    """Chi squared that two scores explain, given their information, and how many degrees of freedom that is."""
+    det = xx * yy - xy * xy
+    if not det > 1e-3 * xx * yy:
+        return 0.0, 0.0
+    return (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det, 2.0
+
+
+@compiled
+def judge(rows, n, p, chi2, dof):
     """Chi squared per degree of freedom of what is neither even nor a dipole, and how much odd light there is beyond
     noise: the chi squared of the dipoles, in units of that, beyond its own expectation by more than one sigma.
 
-    ``determined`` parameters beside those of the model have been fitted to the ``count`` pixels.
+    ``chi2`` and ``dof`` are those of what is left in ``rows`` at the parameters ``p``.
     """
+    zone = np.empty(ZONE_SUMS)
     odd = freedom = 0.0
-    dof = count - PARAMETERS - determined
-    for k in range(zones.shape[0]):
-        zone = zones[k]
+    scale = p[BLUR] / spacing_of(p)
+    for k in range(len(ZONES) - 1):
+        add_up_zone(rows, n, EDGE_KNOT + ZONES[k] * scale, EDGE_KNOT + ZONES[k + 1] * scale, zone)
         if zone[PIXELS] < LEAST_PIXELS:
             continue
-        found, free = _in_zone(zone[XX], zone[XY], zone[YY], zone[DX], zone[DY])
+        found, free = _explained(zone[XX], zone[XY], zone[YY], zone[DX], zone[DY])
         odd += found
         freedom += free
-        found, free = _in_zone(zone[CC], zone[CS], zone[SS], zone[QC], zone[QS])
+        found, free = _explained(zone[CC], zone[CS], zone[SS], zone[QC], zone[QS])
         chi2 -= found
         dof -= free
     freedom = max(freedom - TAKEN, 0.0)
