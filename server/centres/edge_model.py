@@ -166,8 +166,8 @@ def _free(n, p, fitted, room):
     x, y, u, v = p[CX], p[CY], p[SX], p[SY]
     xx, xy, yy, told = improve_centre(sums, p)
     moved = Moved(p[CX] - x, p[CY] - y, p[SX] - u, p[SY] - v)
-    chi2 = take_step(room.pixels, n, p, moved, fitted.floor, even.rows, sums)
-    misfit, beyond = judge(even.rows, n, p, chi2, sums[COUNT] - PARAMETERS - determined)
+    take_step(room.pixels, n, p, moved, even.rows)
+    misfit, beyond = judge(even.rows, n, p, fitted.floor, determined, sums)
     return Freed(xx, xy, yy, told, misfit, beyond, LIT_PROFILE_PARAMETERS)
 
 

@@ -53,8 +53,8 @@ from asterism.server.segmentation.spot_table import SEMI_A, SEMI_B
 
 PROFILE_ERROR = 0.05  # of the rise: the misfit of the profile that is expected, one sigma
 ANGLE_ERROR = 0.1  # rad, of the moments' angle, one sigma
-KNOTS, EDGE_KNOT = 16, 9  # of the profile, and which of them lies on the ellipse; the rest is flat
-LEAST_SPACING_PX, SPACING = 0.7, 0.75  # of the knots: px, sigmas of blur
+KNOTS, EDGE_KNOT = 20, 11  # of the profile, and which of them lies on the ellipse; the rest is flat
+LEAST_SPACING_PX, SPACING = 0.6, 0.55  # of the knots: px, sigmas of blur
 LAST_KNOT = f32(KNOTS - 1.001)
 
 # Rows of what a pixel gives: its place among the knots, residual, weight, slope of the profile, the outward direction,

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from asterism.server.centres.edge_sums import BLUR, COUNT, CX, CY, LIT_1, LIT_2, LIT_FOUND, LIT_READ
+from asterism.server.centres.edge_sums import BLUR, CHI2, COUNT, CX, CY, LIT_1, LIT_2, LIT_FOUND, LIT_READ, PARAMETERS
 from asterism.server.centres.even_profile import AT, AWAY_X, AWAY_Y, EDGE_KNOT, LEFT, LIT, STEEP, WEIGHT, spacing_of
 from asterism.server.compiled import compiled, compiled_sums
 from asterism.server.segmentation.pixels import LANES, ONE, PX, PY, TWO, ZERO, f32
@@ -38,22 +38,27 @@ class Moved(NamedTuple):
 
 
 @compiled_sums
-def take_step(pixels, n, p, moved, floor, rows, sums):
-    """Change what is left in ``rows`` (`even_profile`) by the step ``moved`` that has led to ``p``; return chi squared.
-
-    ``floor`` is the pixels' variance without light. Fills LIT_ and COUNT of ``sums`` as `edge_sums.add_up_centre` does.
-    """
+def take_step(pixels, n, p, moved, rows):
+    """Change what is left in ``rows`` (`even_profile`) by the step ``moved`` that has led to ``p``."""
     xs, ys = pixels[PX], pixels[PY]
-    lefts, weights, steeps, lits = rows[LEFT], rows[WEIGHT], rows[STEEP], rows[LIT]
-    aways_x, aways_y = rows[AWAY_X], rows[AWAY_Y]
-    cx, cy, floor = f32(p[CX]), f32(p[CY]), f32(floor)
+    lefts, steeps, aways_x, aways_y = rows[LEFT], rows[STEEP], rows[AWAY_X], rows[AWAY_Y]
+    cx, cy = f32(p[CX]), f32(p[CY])
     by_x, by_y, by_u, by_v = f32(moved.x), f32(moved.y), f32(moved.u), f32(moved.v)
+    for i in range(n // LANES * LANES):
+        shift = steeps[i] * (aways_x[i] * by_x + aways_y[i] * by_y) + (xs[i] - cx) * by_u + (ys[i] - cy) * by_v
+        lefts[i] -= shift
+
+
+@compiled_sums
+def add_up_left(rows, n, floor, sums):
+    """Chi squared of what is left in ``rows``, and what it says of the sensor's gain: CHI2, COUNT and LIT_ of ``sums``
+    as `edge_sums.add_up_centre` fills them. ``floor`` is the pixels' variance without light.
+    """
+    lefts, weights, lits = rows[LEFT], rows[WEIGHT], rows[LIT]
+    floor = f32(floor)
     chi2 = count = lit_1 = lit_2 = lit_read = lit_found = ZERO
     for i in range(n // LANES * LANES):
-        w, lit = weights[i], lits[i]
-        shift = steeps[i] * (aways_x[i] * by_x + aways_y[i] * by_y) + (xs[i] - cx) * by_u + (ys[i] - cy) * by_v
-        left = lefts[i] - shift
-        lefts[i] = left
+        w, lit, left = weights[i], lits[i], lefts[i]
         chi2 += w * left * left
         count += ONE if w > ZERO else ZERO
         wl = w * w * lit
@@ -61,8 +66,8 @@ def take_step(pixels, n, p, moved, floor, rows, sums):
         lit_2 += wl * lit
         lit_read += wl * floor
         lit_found += wl * left * left
-    sums[COUNT], sums[LIT_1], sums[LIT_2], sums[LIT_READ], sums[LIT_FOUND] = count, lit_1, lit_2, lit_read, lit_found
-    return chi2
+    sums[CHI2], sums[COUNT] = chi2, count
+    sums[LIT_1], sums[LIT_2], sums[LIT_READ], sums[LIT_FOUND] = lit_1, lit_2, lit_read, lit_found
 
 
 @compiled_sums
@@ -93,36 +98,51 @@ def add_up_zone(rows, n, low, high, zone):
     zone[CC], zone[CS], zone[SS], zone[QC], zone[QS], zone[PIXELS] = cc, cs, ss, qc, qs, count
 
 
+@compiled_sums
+def _subtract_quadrupole(rows, n, low, high, by_c, by_s):
+    """Change what is left in a zone by a quadrupole of those amplitudes, grey levels."""
+    ats, lefts, aways_x, aways_y = rows[AT], rows[LEFT], rows[AWAY_X], rows[AWAY_Y]
+    low, high, by_c, by_s = f32(low), f32(high), f32(by_c), f32(by_s)
+    for i in range(n // LANES * LANES):
+        x, y = aways_x[i], aways_y[i]
+        quadrupole = by_c * (x * x - y * y) + by_s * (TWO * x * y)
+        lefts[i] -= quadrupole if ats[i] > low and ats[i] <= high else ZERO
+
+
 @compiled
-def _explained(xx, xy, yy, x, y):
-    """Chi squared that two scores explain, given their information, and how many degrees of freedom that is."""
+def _solve(xx, xy, yy, x, y):
+    """Amplitudes of two scores, given their information, and whether there are any."""
     det = xx * yy - xy * xy
     if not det > 1e-3 * xx * yy:
-        return 0.0, 0.0
-    return (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det, 2.0
+        return 0.0, 0.0, False
+    return (yy * x - xy * y) / det, (xx * y - xy * x) / det, True
 
 
 @compiled
-def judge(rows, n, p, chi2, dof):
+def judge(rows, n, p, floor, determined, sums):
     """Chi squared per degree of freedom of what is neither even nor a dipole, and how much odd light there is beyond
     noise: the chi squared of the dipoles, in units of that, beyond its own expectation by more than one sigma.
 
-    ``chi2`` and ``dof`` are those of what is left in ``rows`` at the parameters ``p``.
+    ``rows`` hold what is left at the parameters ``p``, of which the quadrupoles are taken; then fills ``sums`` as
+    `add_up_left` does. ``determined`` parameters have been fitted beside those of the model.
     """
     zone = np.empty(ZONE_SUMS)
     odd = freedom = 0.0
+    taken = PARAMETERS + determined
     scale = p[BLUR] / spacing_of(p)
     for k in range(len(ZONES) - 1):
-        add_up_zone(rows, n, EDGE_KNOT + ZONES[k] * scale, EDGE_KNOT + ZONES[k + 1] * scale, zone)
+        low, high = EDGE_KNOT + ZONES[k] * scale, EDGE_KNOT + ZONES[k + 1] * scale
+        add_up_zone(rows, n, low, high, zone)
         if zone[PIXELS] < LEAST_PIXELS:
             continue
-        found, free = _explained(zone[XX], zone[XY], zone[YY], zone[DX], zone[DY])
-        odd += found
-        freedom += free
-        found, free = _explained(zone[CC], zone[CS], zone[SS], zone[QC], zone[QS])
-        chi2 -= found
-        dof -= free
+        x, y, told = _solve(zone[XX], zone[XY], zone[YY], zone[DX], zone[DY])
+        odd += x * zone[DX] + y * zone[DY]
+        freedom += 2.0 * told
+        x, y, told = _solve(zone[CC], zone[CS], zone[SS], zone[QC], zone[QS])
+        _subtract_quadrupole(rows, n, low, high, x, y)
+        taken += 2.0 * told
+    add_up_left(rows, n, floor, sums)
     freedom = max(freedom - TAKEN, 0.0)
-    misfit = (chi2 - odd) / max(dof - freedom, 1.0)
+    misfit = (sums[CHI2] - odd) / max(sums[COUNT] - taken - freedom, 1.0)
     beyond = odd / max(misfit, 1.0) - freedom - math.sqrt(2.0 * freedom)
     return misfit, max(beyond, 0.0)
