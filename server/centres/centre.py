@@ -36,9 +36,9 @@ GAIN = 0.035  # expected variance per grey level of light: a sensor of 7000 elec
 GAIN_SIGMA = 0.02  # how well that is known before a frame's own residuals have told
 CLEAN_MISFIT = 1.5  # chi squared per degree of freedom up to which a spot tells of the sensor's noise
 LEAST_TELLING_PX, ROUND = 1.8, 0.7  # small and flat spots do not: the model's own error looks like noise there
-GOOD_MISFIT, EVEN = 1.3, 2.5  # a fit with no more misfit and no more light to one side has nothing beside it
 USUAL_MISFIT = 1.3  # what is left when all that is even is free; more is other light,
 STRANGE = 2.0  # which moves the centre by about this many times its noise for every unit of misfit, squared
+SLIGHT, EVEN = 0.5, 2.5  # raised by no more, and with no more light to one side, a spot has nothing beside it
 LEANING = 3.0  # raised by more than this, the variance is other light's: it is looked for when a robot claims the spot
 ONE_SIDED = 4.5  # sigmas of light to one side of a spot beyond which there is other light
 UNEXPLAINED_LIGHT_PX = 0.15  # light to one side that no fit explains moves the centre about this far
@@ -72,13 +72,14 @@ def _take(spot, out, other, knows_misfit, centre, covariance, gain):
     """
     # Odd light raises the variance; where it is much, as a shift that other light explains.
     raised = (1.0 + STRANGE * max(out[6] - USUAL_MISFIT, 0.0)) * (1.0 + out[9]) - 1.0
+    alone = knows_misfit and out[5] < EVEN and spot[TOUCHING] == 0.0
+    if alone and (raised < SLIGHT or raised > LEANING):
+        spot[SHOULDER] = 0.0  # the moments were misled, by saturation or by noise
     if out[5] > ONE_SIDED or other[2] > 0.0:
         spot[SHOULDER] = max(spot[SHOULDER], UNEXPLAINED_LIGHT_PX)
     elif raised > LEANING:
         shift = min(math.sqrt(0.5 * raised * (out[2] + out[4])), UNEXPLAINED_LIGHT_PX)
         spot[SHOULDER] = max(spot[SHOULDER], shift)
-    elif knows_misfit and out[6] < GOOD_MISFIT and out[5] < EVEN and spot[TOUCHING] == 0.0:
-        spot[SHOULDER] = 0.0  # the moments were misled, by saturation or by noise
     round_enough = spot[SEMI_B] >= max(LEAST_TELLING_PX, ROUND * spot[SEMI_A])
     if out[6] < CLEAN_MISFIT and spot[SHOULDER] == 0.0 and (not knows_misfit or round_enough):
         gain[0] += out[7]

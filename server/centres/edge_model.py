@@ -46,8 +46,8 @@ from asterism.server.centres.edge_sums import (
     add_up_centre,
     add_up_shape,
 )
-from asterism.server.centres.even_profile import even_room, free_step, lay_out, learn_profile
-from asterism.server.centres.oddness import Moved, add_up_zones, judge_zones, zone_room
+from asterism.server.centres.even_profile import add_up_freed, even_room, lay_out, learn_profile, subtract_profile
+from asterism.server.centres.oddness import Moved, judge, take_step
 from asterism.server.centres.window import gather_pixels
 from asterism.server.compiled import compiled
 from asterism.server.segmentation.pixels import room_for
@@ -79,13 +79,12 @@ MANY_SATURATED = 0.05  # share of the spot's pixels
 EVENNESS = 0.004  # of a spot's light: how uneven the model's own error leaves what is outside the ellipse, one sigma
 LIT_PARAMETERS = 7.0  # that lit pixels determine; with a profile of the spot's own
 LIT_PROFILE_PARAMETERS = 14.0
-FREE_FROM = 1.15  # chi squared per degree of freedom from which on the spot gets a profile of its own
+FREE_FROM = 1.3  # chi squared per degree of freedom from which on the spot gets a profile of its own
 
 
 class EdgeRoom(NamedTuple):
     """Room for the fit of a spot: ``pixels`` of its window as in `pixels.room_for`, ``sums`` (SUMS,), the model's
-    parameters ``p`` (PARAMETERS,), ``m`` (5, 5) and ``q`` (5,), a step of its shape, `even_profile.EvenRoom` and the
-    sums of `oddness`.
+    parameters ``p`` (PARAMETERS,), ``m`` (5, 5) and ``q`` (5,), a step of its shape, and `even_profile.EvenRoom`.
     """
 
     pixels: Any
@@ -94,12 +93,11 @@ class EdgeRoom(NamedTuple):
     m: Any
     q: Any
     even: Any
-    zones: Any
 
 
 class Freed(NamedTuple):
     """The odd block after its last step: the centre's information with the slopes eliminated, and whether it can be
-    told; chi squared per degree of freedom; the odd light beyond noise, as `oddness.judge_zones` tells it; the
+    told; chi squared per degree of freedom; the odd light beyond noise, as `oddness.judge` tells it; the
     parameters that lit pixels have determined.
     """
 
@@ -122,7 +120,6 @@ def edge_room(cells):
         np.empty((5, 5)),
         np.empty(5),
         even_room(cells),
-        zone_room(),
     )
 
 
@@ -164,11 +161,13 @@ def _free(n, p, fitted, room):
     sums, even = room.sums, room.even
     lay_out(room.pixels, n, p, fitted, even.rows)
     turn, determined = learn_profile(even.rows, n, p[RISE], even)
+    subtract_profile(even.rows, n, p, turn, even.score)
+    add_up_freed(room.pixels, n, p, even.rows, sums)
     x, y, u, v = p[CX], p[CY], p[SX], p[SY]
-    xx, xy, yy, told = free_step(room.pixels, n, p, turn, even, sums)
+    xx, xy, yy, told = improve_centre(sums, p)
     moved = Moved(p[CX] - x, p[CY] - y, p[SX] - u, p[SY] - v)
-    chi2 = add_up_zones(room.pixels, n, p, moved, fitted.floor, even.rows, room.zones, sums)
-    misfit, beyond = judge_zones(room.zones, chi2, sums[COUNT], determined)
+    take_step(room.pixels, n, p, moved, even.rows)
+    misfit, beyond = judge(even.rows, n, p, fitted.floor, determined, sums)
     return Freed(xx, xy, yy, told, misfit, beyond, LIT_PROFILE_PARAMETERS)
 
 
@@ -181,7 +180,7 @@ def fit_edge_model(image, spot, neighbours, gain, room, out):
     covariance xx, xy, yy (px^2) for that gain, how far, in sigmas, the light outside the ellipse lies to one side
     (noise and a wrong shape leave it even, other light beside the spot does not), chi squared per degree of freedom
     (of what is not even, where that was large), what the residuals say of the sensor's gain, numerator and denominator,
-    and how much of the light is odd beyond noise, as `oddness.judge_zones` tells it.
+    and how much of the light is odd beyond noise, as `oddness.judge` tells it.
     """
     sums, p = room.sums, room.p
     near, n = gather_pixels(image, spot, neighbours, room.pixels)

@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from asterism.server.centres.blurred_ellipse import REACH32, distance_to_ellipse, normal
-from asterism.server.centres.edge_steps import improve_centre
 from asterism.server.centres.edge_sums import (
     BASE,
     BLUR,
@@ -54,8 +53,8 @@ from asterism.server.segmentation.spot_table import SEMI_A, SEMI_B
 
 PROFILE_ERROR = 0.05  # of the rise: the misfit of the profile that is expected, one sigma
 ANGLE_ERROR = 0.1  # rad, of the moments' angle, one sigma
-KNOTS, EDGE_KNOT = 16, 9  # of the profile, and which of them lies on the ellipse; the rest is flat
-LEAST_SPACING_PX, SPACING = 0.7, 0.75  # of the knots: px, sigmas of blur
+KNOTS, EDGE_KNOT = 20, 11  # of the profile, and which of them lies on the ellipse; the rest is flat
+LEAST_SPACING_PX, SPACING = 0.6, 0.55  # of the knots: px, sigmas of blur
 LAST_KNOT = f32(KNOTS - 1.001)
 
 # Rows of what a pixel gives: its place among the knots, residual, weight, slope of the profile, the outward direction,
@@ -203,27 +202,28 @@ def learn_profile(rows, n, rise, room):
 
 
 @compiled
-def free_step(pixels, n, p, turn, room, sums):
-    """One scoring step of the odd block on what the profile and the angle's step ``turn`` leave.
-
-    Changes the row LEFT to that and the row STEEP to the true slope; fills N_ and R_ of ``sums``. Returns what
-    `improve_centre` does.
-    """
-    rows, profile = room.rows, room.score
-    per_spacing = 1.0 / spacing_of(p)
-    n_xx = n_xy = n_yy = n_xu = n_xv = n_yu = n_yv = n_uu = n_uv = n_vv = r_x = r_y = r_u = r_v = 0.0
+def subtract_profile(rows, n, p, turn, profile):
+    """Change the row LEFT to what the ``profile`` and the angle's step ``turn`` leave, and STEEP to the true slope."""
+    at, left, steep, turns = rows[AT], rows[LEFT], rows[STEEP], rows[TURN]
+    per_spacing, turn = f32(1.0 / spacing_of(p)), f32(turn)
     for i in range(n):
-        w = float(rows[WEIGHT, i])
-        if w == 0.0:
-            continue
-        at = float(rows[AT, i])
-        k = int(at)
-        rising = profile[k + 1] - profile[k]
-        left = float(rows[LEFT, i]) - profile[k] - (at - k) * rising - turn * float(rows[TURN, i])
-        steep = float(rows[STEEP, i]) + rising * per_spacing
-        rows[LEFT, i], rows[STEEP, i] = left, steep
-        gx, gy = steep * float(rows[AWAY_X, i]), steep * float(rows[AWAY_Y, i])
-        dx, dy = float(pixels[PX, i]) - p[CX], float(pixels[PY, i]) - p[CY]
+        k = int(at[i])
+        here = f32(profile[k])
+        rising = f32(profile[k + 1]) - here
+        left[i] -= here + (at[i] - f32(k)) * rising + turn * turns[i]
+        steep[i] += rising * per_spacing
+
+
+@compiled_sums
+def add_up_freed(pixels, n, p, rows, sums):
+    """Information and score of the odd block, N_ and R_ of ``sums``, of what is left of the first ``n`` pixels."""
+    xs, ys = pixels[PX], pixels[PY]
+    lefts, weights, steeps, aways_x, aways_y = rows[LEFT], rows[WEIGHT], rows[STEEP], rows[AWAY_X], rows[AWAY_Y]
+    cx, cy = f32(p[CX]), f32(p[CY])
+    n_xx = n_xy = n_yy = n_xu = n_xv = n_yu = n_yv = n_uu = n_uv = n_vv = r_x = r_y = r_u = r_v = ZERO
+    for i in range(n // LANES * LANES):
+        dx, dy, w, left = xs[i] - cx, ys[i] - cy, weights[i], lefts[i]
+        gx, gy = steeps[i] * aways_x[i], steeps[i] * aways_y[i]
         wx, wy, wu, wv = w * gx, w * gy, w * dx, w * dy
         n_xx += wx * gx
         n_xy += wx * gy
@@ -243,4 +243,3 @@ def free_step(pixels, n, p, turn, room, sums):
     sums[N_XU], sums[N_XV], sums[N_YU], sums[N_YV] = n_xu, n_xv, n_yu, n_yv
     sums[N_UU], sums[N_UV], sums[N_VV] = n_uu, n_uv, n_vv
     sums[R_X], sums[R_Y], sums[R_U], sums[R_V] = r_x, r_y, r_u, r_v
-    return improve_centre(sums, p)

@@ -15,17 +15,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from asterism.server.centres.edge_sums import BLUR, COUNT, CX, CY, LIT_1, LIT_2, LIT_FOUND, LIT_READ, PARAMETERS
+from asterism.server.centres.edge_sums import BLUR, CHI2, COUNT, CX, CY, LIT_1, LIT_2, LIT_FOUND, LIT_READ, PARAMETERS
 from asterism.server.centres.even_profile import AT, AWAY_X, AWAY_Y, EDGE_KNOT, LEFT, LIT, STEEP, WEIGHT, spacing_of
-from asterism.server.compiled import compiled
-from asterism.server.segmentation.pixels import PX, PY
+from asterism.server.compiled import compiled, compiled_sums
+from asterism.server.segmentation.pixels import LANES, ONE, PX, PY, TWO, ZERO, f32
 
-ZONES = -3.5, -1.0, 0.0, 1.0  # sigmas of blur from the edge, inwards: where one zone of distance ends
-LEAST_PIXELS = 6.0  # of a zone, to tell anything
-TAKEN = 4  # degrees of freedom, by shift and slopes
-# Sums of a zone: dipole and quadrupole, information and score; pixels.
+ZONES = -99.0, -3.5, -1.0, 0.0, 1.0, 99.0  # sigmas of blur from the edge, inwards: where zones of distance end
+# Sums of a zone.
 XX, XY, YY, DX, DY, CC, CS, SS, QC, QS, PIXELS = range(11)
 ZONE_SUMS = 11
+LEAST_PIXELS = 6.0  # of a zone, to tell anything
+TAKEN = 4  # degrees of freedom, by shift and slopes
 
 
 class Moved(NamedTuple):
@@ -37,86 +37,112 @@ class Moved(NamedTuple):
     v: float
 
 
-@compiled
-def zone_room():
-    """Empty (zones, ZONE_SUMS)."""
-    return np.empty((5, ZONE_SUMS))
+@compiled_sums
+def take_step(pixels, n, p, moved, rows):
+    """Change what is left in ``rows`` (`even_profile`) by the step ``moved`` that has led to ``p``."""
+    xs, ys = pixels[PX], pixels[PY]
+    lefts, steeps, aways_x, aways_y = rows[LEFT], rows[STEEP], rows[AWAY_X], rows[AWAY_Y]
+    cx, cy = f32(p[CX]), f32(p[CY])
+    by_x, by_y, by_u, by_v = f32(moved.x), f32(moved.y), f32(moved.u), f32(moved.v)
+    for i in range(n // LANES * LANES):
+        shift = steeps[i] * (aways_x[i] * by_x + aways_y[i] * by_y) + (xs[i] - cx) * by_u + (ys[i] - cy) * by_v
+        lefts[i] -= shift
 
 
-@compiled
-def _in_zone(information_xx, information_xy, information_yy, x, y):
-    """Chi squared of two scores, and how many degrees of freedom it has."""
-    det = information_xx * information_yy - information_xy * information_xy
-    if not det > 1e-3 * information_xx * information_yy:
-        return 0.0, 0.0
-    return (information_yy * x * x - 2.0 * information_xy * x * y + information_xx * y * y) / det, 2.0
-
-
-@compiled
-def add_up_zones(pixels, n, p, moved, floor, rows, zones, sums):
-    """Sums of the zones over what `free_step`, which has moved the centre and the slopes by ``moved``, left.
-
-    ``rows`` are `even_profile`'s; ``floor`` is the pixels' variance without light. Fills LIT_ and COUNT of ``sums`` as
-    `edge_sums.add_up_centre` does; returns chi squared.
+@compiled_sums
+def add_up_left(rows, n, floor, sums):
+    """Chi squared of what is left in ``rows``, and what it says of the sensor's gain: CHI2, COUNT and LIT_ of ``sums``
+    as `edge_sums.add_up_centre` fills them. ``floor`` is the pixels' variance without light.
     """
-    zones[:, :] = 0.0
-    scale = p[BLUR] / spacing_of(p)
-    edge_0, edge_1 = EDGE_KNOT + ZONES[0] * scale, EDGE_KNOT + ZONES[1] * scale
-    edge_2, edge_3 = EDGE_KNOT + ZONES[2] * scale, EDGE_KNOT + ZONES[3] * scale
-    chi2 = count = lit_1 = lit_2 = lit_read = lit_found = 0.0
-    for i in range(n):
-        w = float(rows[WEIGHT, i])
-        if w == 0.0:
-            continue
-        at, steep, lit = float(rows[AT, i]), float(rows[STEEP, i]), float(rows[LIT, i])
-        x, y = float(rows[AWAY_X, i]), float(rows[AWAY_Y, i])
-        dx, dy = float(pixels[PX, i]) - p[CX], float(pixels[PY, i]) - p[CY]
-        left = float(rows[LEFT, i]) - steep * (x * moved.x + y * moved.y) - dx * moved.u - dy * moved.v
-        zone = zones[int(at > edge_0) + int(at > edge_1) + int(at > edge_2) + int(at > edge_3)]
-        c, s = x * x - y * y, 2.0 * x * y
-        wr = w * left
-        zone[XX] += w * x * x
-        zone[XY] += w * x * y
-        zone[YY] += w * y * y
-        zone[DX] += wr * x
-        zone[DY] += wr * y
-        zone[CC] += w * c * c
-        zone[CS] += w * c * s
-        zone[SS] += w * s * s
-        zone[QC] += wr * c
-        zone[QS] += wr * s
-        zone[PIXELS] += 1.0
-        chi2 += wr * left
-        count += 1.0
+    lefts, weights, lits = rows[LEFT], rows[WEIGHT], rows[LIT]
+    floor = f32(floor)
+    chi2 = count = lit_1 = lit_2 = lit_read = lit_found = ZERO
+    for i in range(n // LANES * LANES):
+        w, lit, left = weights[i], lits[i], lefts[i]
+        chi2 += w * left * left
+        count += ONE if w > ZERO else ZERO
         wl = w * w * lit
         lit_1 += w * lit
         lit_2 += wl * lit
         lit_read += wl * floor
         lit_found += wl * left * left
-    sums[COUNT], sums[LIT_1], sums[LIT_2], sums[LIT_READ], sums[LIT_FOUND] = count, lit_1, lit_2, lit_read, lit_found
-    return chi2
+    sums[CHI2], sums[COUNT] = chi2, count
+    sums[LIT_1], sums[LIT_2], sums[LIT_READ], sums[LIT_FOUND] = lit_1, lit_2, lit_read, lit_found
+
+
+@compiled_sums
+def add_up_zone(rows, n, low, high, zone):
+    """Fill ``zone`` (ZONE_SUMS,): dipole and quadrupole of what is left between two places ``low`` and ``high`` among
+    the knots, information and score; pixels.
+    """
+    ats, lefts, weights, aways_x, aways_y = rows[AT], rows[LEFT], rows[WEIGHT], rows[AWAY_X], rows[AWAY_Y]
+    low, high = f32(low), f32(high)
+    xx = xy = yy = dx = dy = cc = cs = ss = qc = qs = count = ZERO
+    for i in range(n // LANES * LANES):
+        x, y = aways_x[i], aways_y[i]
+        w = weights[i] if ats[i] > low and ats[i] <= high else ZERO
+        c, s = x * x - y * y, TWO * x * y
+        wr, wx, wc = w * lefts[i], w * x, w * c
+        xx += wx * x
+        xy += wx * y
+        yy += w * y * y
+        dx += wr * x
+        dy += wr * y
+        cc += wc * c
+        cs += wc * s
+        ss += w * s * s
+        qc += wr * c
+        qs += wr * s
+        count += ONE if w > ZERO else ZERO
+    zone[XX], zone[XY], zone[YY], zone[DX], zone[DY] = xx, xy, yy, dx, dy
+    zone[CC], zone[CS], zone[SS], zone[QC], zone[QS], zone[PIXELS] = cc, cs, ss, qc, qs, count
+
+
+@compiled_sums
+def _subtract_quadrupole(rows, n, low, high, by_c, by_s):
+    """Change what is left in a zone by a quadrupole of those amplitudes, grey levels."""
+    ats, lefts, aways_x, aways_y = rows[AT], rows[LEFT], rows[AWAY_X], rows[AWAY_Y]
+    low, high, by_c, by_s = f32(low), f32(high), f32(by_c), f32(by_s)
+    for i in range(n // LANES * LANES):
+        x, y = aways_x[i], aways_y[i]
+        quadrupole = by_c * (x * x - y * y) + by_s * (TWO * x * y)
+        lefts[i] -= quadrupole if ats[i] > low and ats[i] <= high else ZERO
 
 
 @compiled
-def judge_zones(zones, chi2, count, determined):
+def _solve(xx, xy, yy, x, y):
+    """Amplitudes of two scores, given their information, and whether there are any."""
+    det = xx * yy - xy * xy
+    if not det > 1e-3 * xx * yy:
+        return 0.0, 0.0, False
+    return (yy * x - xy * y) / det, (xx * y - xy * x) / det, True
+
+
+@compiled
+def judge(rows, n, p, floor, determined, sums):
     """Chi squared per degree of freedom of what is neither even nor a dipole, and how much odd light there is beyond
     noise: the chi squared of the dipoles, in units of that, beyond its own expectation by more than one sigma.
 
-    ``determined`` parameters beside those of the model have been fitted to the ``count`` pixels.
+    ``rows`` hold what is left at the parameters ``p``, of which the quadrupoles are taken; then fills ``sums`` as
+    `add_up_left` does. ``determined`` parameters have been fitted beside those of the model.
     """
+    zone = np.empty(ZONE_SUMS)
     odd = freedom = 0.0
-    dof = count - PARAMETERS - determined
-    for k in range(zones.shape[0]):
-        zone = zones[k]
+    taken = PARAMETERS + determined
+    scale = p[BLUR] / spacing_of(p)
+    for k in range(len(ZONES) - 1):
+        low, high = EDGE_KNOT + ZONES[k] * scale, EDGE_KNOT + ZONES[k + 1] * scale
+        add_up_zone(rows, n, low, high, zone)
         if zone[PIXELS] < LEAST_PIXELS:
             continue
-        found, free = _in_zone(zone[XX], zone[XY], zone[YY], zone[DX], zone[DY])
-        odd += found
-        freedom += free
-        found, free = _in_zone(zone[CC], zone[CS], zone[SS], zone[QC], zone[QS])
-        chi2 -= found
-        dof -= free
+        x, y, told = _solve(zone[XX], zone[XY], zone[YY], zone[DX], zone[DY])
+        odd += x * zone[DX] + y * zone[DY]
+        freedom += 2.0 * told
+        x, y, told = _solve(zone[CC], zone[CS], zone[SS], zone[QC], zone[QS])
+        _subtract_quadrupole(rows, n, low, high, x, y)
+        taken += 2.0 * told
+    add_up_left(rows, n, floor, sums)
     freedom = max(freedom - TAKEN, 0.0)
-    misfit = (chi2 - odd) / max(dof - freedom, 1.0)
+    misfit = (sums[CHI2] - odd) / max(sums[COUNT] - taken - freedom, 1.0)
     beyond = odd / max(misfit, 1.0) - freedom - math.sqrt(2.0 * freedom)
     return misfit, max(beyond, 0.0)
