@@ -10,7 +10,8 @@ import math
 
 import numpy as np
 
-from asterism.server.compiled import compiled
+from asterism.server.compiled import compiled, compiled_sums
+from asterism.server.segmentation.pixels import Box, index
 
 TILE_PX = 128
 BLOCK_ROWS = 8  # rows that share one row of seed thresholds
@@ -18,57 +19,102 @@ _SAMPLED_ROWS = 8  # of a tile
 _STEP_PX = 4  # between samples of a row
 _PART_BITS = 7  # of a grey level's parts, in which thresholds are stepped
 LARGEST_STEP = 48  # grey levels between neighbours: beyond it certainly an edge
-LEAST_LAMP = 12.0  # grey levels by which a tile that a lamp fills stands out
+LEAST_LAMP = 12.0  # grey levels by which light in a tile, or a tile that a lamp fills, stands out
+MOST_RAMP = 16.0  # grey levels by which a tile is brighter than one beside it because the background is a gradient
+DARK_SAMPLES = 4  # neighbours in a row, 16 px, that make a dark part of a tile
 EDGE = 4.0  # times the mean step, from where on it is an edge (five sigma)
+ZERO32, ONE32 = np.int32(0), np.int32(1)
+
+
+@compiled
+def _sample(image, box, values, steps):
+    """Fill ``values`` and ``steps``, to the next pixel, with the samples of a tile; return how many there are."""
+    count = 0
+    for i in range(_SAMPLED_ROWS):
+        row = image[box.y0 + (2 * i + 1) * (box.y1 - box.y0) // (2 * _SAMPLED_ROWS)]
+        # Every other row is shifted, so that no stripe pattern of the sensor falls onto the samples.
+        start = box.x0 + (i & 1) * (_STEP_PX // 2)
+        taken = max(-(-(box.x1 - 1 - start) // _STEP_PX), 0)
+        for k in range(taken):
+            value, after = row[index(start + _STEP_PX * k)], row[index(start + _STEP_PX * k + 1)]
+            values[index(count + k)] = value
+            steps[index(count + k)] = after - value if after > value else value - after
+        count += taken
+    return count
+
+
+@compiled_sums
+def _up_to(values, most):
+    """How many of the values (n,) uint8 are no more than ``most``, and their sum."""
+    number, total = ZERO32, ZERO32
+    for k in range(values.shape[0]):
+        value = np.int32(values[k])
+        number += ONE32 if value <= most else ZERO32
+        total += value if value <= most else ZERO32
+    return number, total
+
+
+@compiled
+def _middle(values):
+    """The median of values (n,) uint8: half way between the two middle ones."""
+    below, lower = -1, 255
+    while lower - below > 1:
+        half = (below + lower) // 2
+        number, _ = _up_to(values, np.int32(half))
+        if 2 * number >= values.shape[0]:
+            lower = half
+        else:
+            below = half
+    number, _ = _up_to(values, np.int32(lower))
+    upper = lower
+    if 2 * number <= values.shape[0]:
+        upper = 255
+        for value in values:
+            if lower < value < upper:
+                upper = np.int64(value)
+    return 0.5 * (lower + upper)
+
+
+@compiled
+def _darkest(values):
+    """The level of the darkest stretch of DARK_SAMPLES neighbours among values (n,) uint8, told by its brightest."""
+    darkest = 255
+    for k in range(values.shape[0] - DARK_SAMPLES + 1):
+        brightest = max(values[k], values[k + 1], values[k + 2], values[k + 3])
+        darkest = min(darkest, brightest)
+    return float(darkest)
+
+
+@compiled
+def _mean_up_to(values, most):
+    number, total = _up_to(values, np.int32(min(most, 255)))
+    return total / max(number, 1)
 
 
 @compiled
 def measure_background(image, level, noise):
-    """Fill ``level`` and ``noise`` (tiles_y, tiles_x), grey levels, from an (h, w) uint8 image."""
+    """Fill ``level`` and ``noise`` (tiles_y, tiles_x), grey levels, from an (h, w) uint8 image.
+
+    A tile's level is its median, but where a part of it is darker by more than LEAST_LAMP it is that of the dark part:
+    what is brighter is light, of which `glare` takes care, and an LED in the dark must not be lost for it.
+    """
     height, width = image.shape
     tiles_y, tiles_x = level.shape
-    counts, steps = np.empty(256, np.int32), np.empty(LARGEST_STEP + 1, np.int32)
+    most = _SAMPLED_ROWS * (width // (tiles_x * _STEP_PX) + 2)
+    values, steps = np.empty(most, np.uint8), np.empty(most, np.uint8)
     for ty in range(tiles_y):
-        y0, y1 = ty * height // tiles_y, (ty + 1) * height // tiles_y
         for tx in range(tiles_x):
-            x0, x1 = tx * width // tiles_x, (tx + 1) * width // tiles_x
-            counts[:] = 0
-            steps[:] = 0
-            samples = 0
-            for i in range(_SAMPLED_ROWS):
-                row = image[y0 + (2 * i + 1) * (y1 - y0) // (2 * _SAMPLED_ROWS)]
-                # Every other row is shifted, so that no stripe pattern of the sensor falls onto the samples.
-                for x in range(x0 + (i & 1) * (_STEP_PX // 2), x1 - 1, _STEP_PX):
-                    value = np.int64(row[x])
-                    step = abs(np.int64(row[x + 1]) - value)
-                    counts[value] += 1
-                    samples += 1
-                    steps[min(step, LARGEST_STEP)] += 1
-            # The median: half way between the two middle samples.
-            below, lower, upper = 0, -1, -1
-            for value in range(256):
-                below += counts[value]
-                if lower < 0 and 2 * below >= samples:
-                    lower = value
-                if 2 * below > samples:
-                    upper = value
-                    break
-            level[ty, tx] = 0.5 * (lower + upper)
+            box = Box(
+                tx * width // tiles_x, (tx + 1) * width // tiles_x, ty * height // tiles_y, (ty + 1) * height // tiles_y
+            )
+            count = _sample(image, box, values, steps)
+            middle, darkest = _middle(values[:count]), _darkest(values[:count])
+            level[ty, tx] = darkest if darkest < middle - LEAST_LAMP else middle
             # Steps far beyond the usual are edges, not noise. E|difference| = 2 sigma / sqrt(pi); at most a grey level
             # of rounding hides what is below.
-            usual = _mean_up_to(steps, LARGEST_STEP - 1)
-            usual = _mean_up_to(steps, int(EDGE * usual) + 1)
+            usual = _mean_up_to(steps[:count], LARGEST_STEP - 1)
+            usual = _mean_up_to(steps[:count], min(int(EDGE * usual) + 1, LARGEST_STEP))
             noise[ty, tx] = max(0.5 * math.sqrt(math.pi) * usual, 0.3)
-
-
-@compiled
-def _mean_up_to(counts, most):
-    """The mean of counted values 0, 1, ... up to ``most``."""
-    number, total = 0, 0
-    for value in range(min(most + 1, counts.shape[0])):
-        number += counts[value]
-        total += value * counts[value]
-    return total / max(number, 1)
 
 
 @compiled
@@ -112,6 +158,25 @@ def discount_lamps(level, noise):
                 if noise[ty, tx] > 2.0 * quiet:
                     noise_out[ty, tx] = quiet
     return level_out, noise_out
+
+
+@compiled
+def follow_dark(level):
+    """The same map where tiles that are brighter than one beside them by more than MOST_RAMP take its level.
+
+    Between tile centres levels are interpolated: without that the dark beside broad light would be told too bright.
+    """
+    tiles_y, tiles_x = level.shape
+    followed = level.copy()
+    for ty in range(tiles_y):
+        for tx in range(tiles_x):
+            darkest = level[ty, tx]
+            for y in range(max(ty - 1, 0), min(ty + 2, tiles_y)):
+                for x in range(max(tx - 1, 0), min(tx + 2, tiles_x)):
+                    darkest = min(darkest, level[y, x])
+            if level[ty, tx] > darkest + MOST_RAMP:
+                followed[ty, tx] = darkest
+    return followed
 
 
 @compiled
@@ -194,4 +259,5 @@ def background_of(image):
     tiles = (max(1, round(height / TILE_PX)), max(1, round(width / TILE_PX)))
     level, noise = np.empty(tiles), np.empty(tiles)
     measure_background(image, level, noise)
-    return discount_lamps(level, noise)
+    level, noise = discount_lamps(level, noise)
+    return follow_dark(level), noise
