@@ -16,7 +16,8 @@ from asterism.server.segmentation.order import ascending
 
 class Spots(NamedTuple):
     """What is searched. ``flat`` (n, 2) ideal px, y up; ``rays`` (n, 2) the same as x / z, y / z (y down);
-    ``variances`` (n,) of the rays; ``heights`` (n,); ``radii`` (n,) px; ``free`` (n,): not yet a robot's.
+    ``variances`` (n,) of the rays; ``heights`` (n,); ``radii`` (n,) px; ``free`` (n,): not yet a robot's. In the cold
+    search ``flat`` and ``variances`` are those of directions (`sphere.lay_flat`).
     """
 
     flat: Floats
@@ -55,27 +56,6 @@ def directions_of(rays):
         units[i, 0], units[i, 1], units[i, 2] = x / length, y / length, 1.0 / length
     order = ascending(units[:, 0])
     return Directions(units, order, units[order, 0])
-
-
-@compiled
-def touch(unit, frame):
-    """Fill ``frame`` (3, 3) with the axes of the plane that touches the sphere at a direction, the last one: those of
-    the image turned there the shortest way.
-    """
-    x, y, z = unit[0], unit[1], unit[2]
-    k = 1.0 / (1.0 + z)
-    frame[0, 0], frame[0, 1], frame[0, 2] = 1.0 - k * x * x, -k * x * y, -x
-    frame[1, 0], frame[1, 1], frame[1, 2] = -k * x * y, 1.0 - k * y * y, -y
-    frame[2, 0], frame[2, 1], frame[2, 2] = x, y, z
-
-
-@compiled
-def project(frame, unit):
-    """Where a direction meets the plane of a `touch`."""
-    depth = frame[2, 0] * unit[0] + frame[2, 1] * unit[1] + frame[2, 2] * unit[2]
-    x = frame[0, 0] * unit[0] + frame[0, 1] * unit[1] + frame[0, 2] * unit[2]
-    y = frame[1, 0] * unit[0] + frame[1, 1] * unit[1] + frame[1, 2] * unit[2]
-    return x / depth, y / depth
 
 
 @compiled

@@ -28,13 +28,12 @@ from asterism.server.identity.neighbours import (
     apart2,
     directions_of,
     nearest_neighbours,
-    project,
-    touch,
 )
 from asterism.server.identity.perspective import View
 from asterism.server.identity.plan import MOST_TILT, Plan
 from asterism.server.identity.quads import LookedUp, QuadTable, look_up, room_to_look_up
 from asterism.server.pose.fit import CHI2, LEDS, SYSTEMATIC_PX, FitRoom, fit_labelled, fit_room, median_of, misfit
+from asterism.server.pose.sphere import distance, project, touch
 from asterism.server.segmentation.order import ascending
 
 # Passes: least ratio of heights and of radii, nearest neighbours that are combined.
@@ -142,16 +141,15 @@ def _judge(robot, spots, sought, limits, results, work):
     if which < 0 or cost > CHI2[count]:
         return False
     rotation, t = work.fit.rotations[which], work.fit.ts[which]
-    depth_m = t[2]
-    # Far off the axis a near robot is at a small depth.
-    away_m = math.sqrt(t[0] * t[0] + t[1] * t[1] + t[2] * t[2])
-    if not (0.8 * limits.near <= away_m and depth_m <= 1.25 * limits.far):
+    # Far off the axis a robot far away is at a small depth: it counts as what is nearer to the range.
+    away_m = distance(t)
+    if not (0.8 * limits.near <= away_m and t[2] <= 1.25 * limits.far):
         return False
     height = median_of(heights, labels)
     if sought.claimed[robot] and height < MIRROR_RATIO * sought.brightness[robot]:
         return False
     # Residual norm, m, at the robot: far below the separation no other robot fits as well.
-    residual = math.sqrt(cost * systematic2) * depth_m
+    residual = math.sqrt(cost * systematic2) * away_m
     certain = count == LEDS and 3.0 * residual <= sought.separations[robot] and not sought.claimed[robot]
     for led in range(LEDS):
         if labels[led] >= 0:
@@ -267,8 +265,7 @@ def _within_reach(spots, work, near, claims, extent):
     units, radii, sizes = work.directions.units, spots.radii, near.counts.copy()
     smallest = np.inf  # an LED's radius, m, times the focal length
     for k in range(claims.filled[0]):
-        x, y, z = claims.ts[k, 0], claims.ts[k, 1], claims.ts[k, 2]
-        smallest = min(smallest, median_of(radii, claims.spots[k]) * math.sqrt(x * x + y * y + z * z))
+        smallest = min(smallest, median_of(radii, claims.spots[k]) * distance(claims.ts[k]))
     for i in range(sizes.shape[0]):
         reach = REACH_MARGIN * extent * radii[i] / smallest if smallest < np.inf else np.inf
         while sizes[i] > 0 and apart2(units, i, near.lists[i, sizes[i] - 1]) > reach * reach:

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from asterism.protocol.geometry import Floats
-from asterism.server.identity.neighbours import Spots, directions_of, first_from, nearest_neighbours, project, touch
+from asterism.server.identity.neighbours import Spots, directions_of, first_from, nearest_neighbours
 from asterism.server.identity.perspective import View
 from asterism.server.identity.quads import CELLS, LAYERS, QuadTable, invariants, look_up, room_to_look_up
+from asterism.server.pose.sphere import project, touch
 from tests.helpers import facing_pose, random_rotation
 from tests.rigs import random_layout
 
