@@ -8,6 +8,7 @@ import numpy as np
 from asterism.server.compiled import compiled
 from asterism.server.pose.fit import LEDS, fit_labelled, fit_room, median_of
 from asterism.server.pose.planar import NO_SOLUTION
+from asterism.server.pose.sphere import distance
 
 HIDDEN = math.log(10.0)  # what a hidden LED costs: one in ten is
 # LEDs of one robot: one sigma of the logarithm; range of chance spots.
@@ -140,7 +141,7 @@ def best_version(layout, extent, labels, spots, focal, sigma_px, robots, version
         _, chi2, which = fit_labelled(layout, trial, spots.rays, spots.variances, (sigma_px / focal) ** 2, 5, room)
         if which < 0 or chi2 >= NO_SOLUTION:
             continue
-        height, extent_px = median_of(spots.heights, trial), extent * focal / room.ts[which, 2]
+        height, extent_px = median_of(spots.heights, trial), extent * focal / distance(room.ts[which])
         around, area = surroundings(spots.flat, spots.heights, spots.free, trial, height, extent_px)
         value = score(chi2, variances_px2, spots.heights, spots.radii, trial, around, area, robots)
         if value > best:

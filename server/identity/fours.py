@@ -18,6 +18,7 @@ from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan
 from asterism.server.identity.search import searched
 from asterism.server.pose.fit import CHI2, fit_labelled, fit_room, median_of
+from asterism.server.pose.sphere import distance
 
 LEAST = 11.0  # log odds against chance from which on a robot is claimed
 WORTH = 5.0  # from which on it counts as an explanation at all
@@ -99,8 +100,8 @@ def fours(
 
 def _hopeless(strange: int, plan: Plan) -> bool:
     """Whether among so many strange lights not even the best conceivable fit could be claimed."""
-    for distance in (plan.near, plan.far):
-        area = math.pi * (AROUND * float(plan.extents.min()) * plan.focal / distance) ** 2
+    for away in (plan.near, plan.far):
+        area = math.pi * (AROUND * float(plan.extents.min()) * plan.focal / away) ** 2
         best = math.log(area / (2.0 * math.pi * LEAST_SIGMA_PX**2 * WAYS)) + _of_its_size(plan, KNOWN_SIZE_SPREAD)
         if best + _prior(strange, area, plan) >= LEAST:
             return False
@@ -130,7 +131,7 @@ def _refitted(robot: int, labels: NDArray[np.int64], sigma_px: float, spots: Spo
     rotation, t = room.rotations[which], room.ts[which]
     height = median_of(spots.heights, labels)
     around, area = surroundings(
-        spots.flat, spots.heights, spots.free, labels, height, plan.extents[robot] * plan.focal / t[2]
+        spots.flat, spots.heights, spots.free, labels, height, plan.extents[robot] * plan.focal / distance(t)
     )
     if around > 4:
         return []
@@ -142,8 +143,8 @@ def _refitted(robot: int, labels: NDArray[np.int64], sigma_px: float, spots: Spo
 
 def _size(spots: Spots, plan: Plan, robot: int, labels: NDArray[np.int64], rotation: Floats, t: Floats) -> float:
     """Logarithm of the spots' radii over those of the robot's LEDs at its pose; nan if the rig does not say theirs."""
-    facing = -float(rotation[:, 2] @ t) / float(np.linalg.norm(t))
-    expected = plan.led_radii[robot] * plan.focal / t[2] * math.sqrt(max(facing, 1e-3))
+    facing = -float(rotation[:, 2] @ t) / distance(t)
+    expected = plan.led_radii[robot] * plan.focal / distance(t) * math.sqrt(max(facing, 1e-3))
     return float(np.log(median_of(spots.radii, labels) / expected))
 
 

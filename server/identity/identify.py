@@ -11,6 +11,7 @@ from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan
 from asterism.server.identity.rays import Rays
 from asterism.server.pose.matched import Matched
+from asterism.server.pose.sphere import lay_flat
 from asterism.server.pose.track import Tracks
 
 
@@ -35,7 +36,9 @@ def identify(seen: Rays, plan: Plan, tracks: Tracks, exposed_ns: int) -> Matches
     warm = follow(spots, plan.constellations, plan.extents, plan.focal, tracks, exposed_ns, room)
     found, doubts = room.first(warm), dict[int, str]()
     if warm < robots and np.count_nonzero(free) >= 4:
-        found, doubts = _searched(spots, plan, found)
+        flat, variances = np.empty_like(seen.flat), np.empty_like(seen.variances)
+        lay_flat(seen.rays, seen.covariances, plan.focal, flat, variances)
+        found, doubts = _searched(spots._replace(flat=flat, variances=variances), plan, found)
     return Matches(found, warm, doubts)
 
 

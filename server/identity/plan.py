@@ -19,7 +19,8 @@ from asterism.server.segmentation.segment import Scratch
 
 MOST_TILT = math.cos(math.radians(75.0))  # beyond that a plate shows no LED worth measuring
 LARGEST_SPOT = 0.02  # of the image's diagonal, where the rig does not say how large the LEDs are
-RADII_MARGIN = 1.8  # a constellation's extent over an LED's radius may look so much larger: tilt, dim rims
+NEARER = 0.8  # than `near`, times: robots are looked for from there on
+WIDEST = 0.75  # extent over distance
 LED_MARGIN = 1.6  # an LED's spot may be this much larger than its disc, and two pixels
 
 
@@ -39,14 +40,13 @@ class Plan:
         for confusion in confusions([robot.leds_plane[:, :2] for robot in rig.robots]):
             for robot in (confusion.seen, confusion.taken):
                 self.separations[robot] = min(self.separations[robot], confusion.separation)
-        self.quads = QuadTable.of(self.layouts)
         self.near, self.far = rig.range_m or self._range()
-        self.reach_px = 1.2 * float(self.extents.max()) * self.focal / self.near
+        nearest = np.maximum(NEARER * self.near, self.extents / WIDEST)
+        self.quads = QuadTable.of(self.layouts, math.sqrt(1.0 - MOST_TILT**2) / nearest)
+        self.reach = float((self.extents / nearest).max())  # chord of the directions of one robot's LEDs
         self.masks: Ints = np.array(rig.masks, np.int64).reshape(-1, 4)
         # nan where the rig does not say how large the LEDs are
         self.led_radii = np.array([robot.led_radius or math.nan for robot in rig.robots])
-        ratios = self.extents / self.led_radii
-        self.reach_in_radii = RADII_MARGIN * float(ratios.max()) if np.isfinite(ratios).all() else math.inf
         largest = float(self.led_radii.max())
         if math.isfinite(largest) and rig.range_m is not None:
             self.largest_radius_px = LED_MARGIN * largest * self.focal / self.near + 2.0

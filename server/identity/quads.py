@@ -1,8 +1,9 @@
 """Four points under an affine map: what stays the same, and a table of it for every four LEDs of every robot.
 
 Four coplanar points have two affine invariants. Where they are convex: at what fractions (s, t) their diagonals cross;
-where one lies inside the triangle of the others: its barycentric coordinates. A perspective image changes them
-little, so a table over cells of these numbers turns four spots into the few robots and labels they can be.
+where one lies inside the triangle of the others: its barycentric coordinates. A perspective image changes them by as
+much as the plate is near and tilted, so a table over cells of these numbers, every four LEDs in all cells that they
+can be seen in, turns four spots into the robots and labels they may be; `perspective` says exactly which can be.
 Points are given in a right-handed plane (x right, y up), and orientation counts: a mirror image has other numbers.
 """
 
@@ -12,15 +13,17 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
+from asterism.server.identity.perspective import MIDDLE, NUMBERS, POINTS, SUMS, explains, numbers_of
 
 CELLS = 40  # along each invariant
-TOLERANCE = 0.05  # how far perspective may move an invariant (extent / distance up to 0.2)
-NEGLECTED, LEAST_SLACK = 0.3, 0.004  # what `look_up` neglects: of the movement, and at all
+SLACK = 0.01  # what noise may move an invariant, beside perspective
+LAYERS = (0.15, 0.3, 1.0)  # tables for plates whose depth changes so much, of itself, from LED to LED at most
+LEAST_WEIGHT = 0.2  # no LED is nearer than this share of the four's mean depth
 MOST_MATCHES = 64  # of four spots
-SMALLEST_QUAD_PX2 = 30.0  # twice the area: smaller ones say nothing
 
 
 @compiled
@@ -82,17 +85,12 @@ def invariants(points, order, values):
     return 0, abs(det)
 
 
-# Columns of an entry's numbers: its invariants (2); what makes of four spots' x or y a row of the affine map from the
-# plate that fits them best (2 x 4, 1 / m); what two depth differences are taken between (2 + 2, m), and their
-# weights (2); see `look_up`.
-NUMBERS = 16
-
-
 class QuadTable(NamedTuple):
-    """Entries (robot, four LEDs), first the convex, then the concave, and which of them each cell holds (CSR).
+    """Entries (robot, four LEDs) and which of them each cell holds: for each of the LAYERS first the convex ones, then
+    the concave ones.
 
-    ``entries`` (n, 5), their ``numbers`` (n, NUMBERS), where the list of every cell ``starts`` (2 CELLS^2 + 1,), and
-    the lists that are ``held``.
+    ``entries`` (n, 5), their ``numbers`` (n, NUMBERS), where the list of every cell ``starts`` (cells + 1,), and the
+    lists that are ``held``.
     """
 
     entries: Any
@@ -101,11 +99,13 @@ class QuadTable(NamedTuple):
     held: Any
 
     @staticmethod
-    def of(layouts: Floats) -> "QuadTable":
-        """That of ``layouts`` (robots, 6, 2 or 3): the LEDs in their planes."""
+    def of(layouts: Floats, steepest: Floats) -> "QuadTable":
+        """That of ``layouts`` (robots, 6, 2 or 3): the LEDs in their planes, whose depth changes over the plate by at
+        most ``steepest`` (robots,), 1 / m, of itself.
+        """
+        kinds: list[int] = []
         entries: list[list[int]] = []
         numbers: list[Floats] = []
-        held: list[list[int]] = [[] for _ in range(2 * CELLS * CELLS)]
         order, pair = np.empty(4, np.int64), np.empty(2)
         for robot, layout in enumerate(layouts[:, :, :2]):
             for leds in itertools.combinations(range(layout.shape[0]), 4):
@@ -114,120 +114,78 @@ class QuadTable(NamedTuple):
                     continue
                 ring = [leds[k] for k in order]
                 for turned, s, t in _turns(kind, ring, float(pair[0]), float(pair[1])):
-                    for i in range(_cell(s - TOLERANCE), _cell(s + TOLERANCE) + 1):
-                        for j in range(_cell(t - TOLERANCE), _cell(t + TOLERANCE) + 1):
-                            held[(kind * CELLS + i) * CELLS + j].append(len(entries))
+                    kinds.append(kind)
                     entries.append([robot, *turned])
-                    numbers.append(_numbers(kind, layout[turned], s, t))
-        starts = np.zeros(len(held) + 1, np.int32)
-        starts[1:] = np.cumsum([len(cell) for cell in held])
-        return QuadTable(
-            np.array(entries, np.int32).reshape(-1, 5),
-            np.array(numbers).reshape(-1, NUMBERS),
-            starts,
-            np.array([entry for cell in held for entry in cell], np.int32),
-        )
-
-
-class View(NamedTuple):
-    """How a plate may be seen: at a scale from ``least_scale`` to ``most_scale`` px / m, tilted by no more than the
-    angle with cosine ``most_tilt``, by a camera with ``focal`` px; its spots may be ``slack_px`` off.
-    """
-
-    focal: float
-    least_scale: float
-    most_scale: float
-    most_tilt: float
-    slack_px: float
+                    numbers.append(numbers_of(layout[turned], s, t))
+        named = np.array(entries, np.int32).reshape(-1, 5)
+        told = np.array(numbers).reshape(-1, NUMBERS)
+        pairs = [np.empty((0, 2), np.int64)]
+        for robot, most in enumerate(steepest):
+            own = np.flatnonzero(named[:, 0] == robot)
+            for layer, change in enumerate(LAYERS):
+                cells, rows = _cells(np.array(kinds)[own], told[own], float(most), change)
+                pairs.append(np.column_stack([layer * 2 * CELLS * CELLS + cells, own[rows]]))
+        cells, held = np.concatenate(pairs).T
+        by_cell = np.argsort(cells, kind="stable")
+        starts = np.searchsorted(cells[by_cell], np.arange(len(LAYERS) * 2 * CELLS * CELLS + 1)).astype(np.int32)
+        return QuadTable(named, told, starts, held[by_cell].astype(np.int32))
 
 
 class LookedUp(NamedTuple):
-    """Four spots ``four`` (4, 2), ideal px, y up; the entries of the table that they may be, ``matches`` (m,), and the
-    ``order`` (4,) of the spots that belongs to them; ``values`` (2,), their invariants.
+    """Four spots ``four`` (4, 2) in the tangent plane of a `perspective.View`; the entries of the table that they may
+    be, ``matches`` (m,), with the maps ``hs`` (m, 3, 3) from the plate to that plane; the ``order`` (4,) of the spots
+    that belongs to them, and ``values`` (2,), their invariants.
     """
 
     four: Any
     order: Any
     values: Any
     matches: Any
+    hs: Any
+    sums: Any
 
 
 @compiled
 def room_to_look_up():
     """Empty `LookedUp`."""
-    return LookedUp(np.empty((4, 2)), np.empty(4, np.int64), np.empty(2), np.empty(MOST_MATCHES, np.int64))
+    order, matches, hs = np.empty(4, np.int64), np.empty(MOST_MATCHES, np.int64), np.empty((MOST_MATCHES, 3, 3))
+    return LookedUp(np.empty((4, 2)), order, np.empty(2), matches, hs, np.empty(SUMS))
+
+
+@compiled
+def _layer(four, view):
+    """Which of the LAYERS holds a plate seen as the four: along a line seen as long as a, rad, the depth changes
+    by a tan(tilt) at most.
+    """
+    far2 = 0.0
+    for i in range(4):
+        for j in range(i):
+            far2 = max(far2, (four[i, 0] - four[j, 0]) ** 2 + (four[i, 1] - four[j, 1]) ** 2)
+    far2 *= 1.0 / view.most_tilt**2 - 1.0
+    layer = 0
+    while layer < len(LAYERS) - 1 and far2 > LAYERS[layer] ** 2:
+        layer += 1
+    return layer
 
 
 @compiled
 def look_up(room, table, view):
-    """Which entries of the `QuadTable` the four spots in ``room`` (`LookedUp`) may be in that `View`: not mirrored, and
-    with invariants that differ from the entry's as the tilt demands.
+    """Which entries of the `QuadTable` the four spots in ``room`` (`LookedUp`) may be in that `View`: not mirrored.
 
     Fills the rest of ``room``, and returns how many entries there are.
-
-    The affine map from plate to spots is their weak perspective: its singular values are focal / depth and that times
-    the cosine of the tilt; the gradient g of the relative depth over the plate lies along the second singular
-    vector, up to its sign. In perspective a point's weight in a sum is multiplied by its relative depth, so the
-    crossing fraction s of a diagonal d moves by s (1 - s) g d, and a barycentric coordinate w by w g (corner - inner
-    point).
     """
-    four, order, values, matches, numbers = room.four, room.order, room.values, room.matches, table.numbers
+    four, order, values, matches, hs = room.four, room.order, room.values, room.matches, room.hs
     kind, area = invariants(four, order, values)
-    if kind < 0 or area < SMALLEST_QUAD_PX2:
+    if kind < 0 or area < view.least_area:
         return 0
-    s, t = values[0], values[1]
-    row, column = int(s * CELLS), int(t * CELLS)
+    row, column = int(values[0] * CELLS), int(values[1] * CELLS)
     if not (0 <= row < CELLS and 0 <= column < CELLS):
         return 0
-    ax, ay, bx, by = four[order[0], 0], four[order[0], 1], four[order[1], 0], four[order[1], 1]
-    cx, cy, dx, dy = four[order[2], 0], four[order[2], 1], four[order[3], 0], four[order[3], 1]
-    # The flatter the quad, the more its invariants suffer from what spots are off.
-    slack = (
-        LEAST_SLACK
-        + 1.5 * view.slack_px * math.sqrt(max((bx - ax) ** 2 + (by - ay) ** 2, (cx - ax) ** 2 + (cy - ay) ** 2)) / area
-    )
-    least2, most2, per_focal2, wide2 = (
-        view.least_scale**2,
-        view.most_scale**2,
-        1.0 / view.focal**2,
-        (1.0 + NEGLECTED) ** 2,
-    )
-    cell = (kind * CELLS + row) * CELLS + column
+    cell = ((2 * _layer(four, view) + kind) * CELLS + row) * CELLS + column
     count = 0
     for place in range(table.starts[cell], table.starts[cell + 1]):
         entry = table.held[place]
-        off0, off1 = s - numbers[entry, 0], t - numbers[entry, 1]
-        if abs(off0) > TOLERANCE or abs(off1) > TOLERANCE:
-            continue
-        u0, u1, u2, u3 = numbers[entry, 2], numbers[entry, 3], numbers[entry, 4], numbers[entry, 5]
-        v0, v1, v2, v3 = numbers[entry, 6], numbers[entry, 7], numbers[entry, 8], numbers[entry, 9]
-        g00, g01 = ax * u0 + bx * u1 + cx * u2 + dx * u3, ax * v0 + bx * v1 + cx * v2 + dx * v3
-        g10, g11 = ay * u0 + by * u1 + cy * u2 + dy * u3, ay * v0 + by * v1 + cy * v2 + dy * v3
-        size = g00 * g11 - g01 * g10
-        m00, m01, m11 = g00 * g00 + g10 * g10, g00 * g01 + g10 * g11, g01 * g01 + g11 * g11
-        both = m00 + m11
-        if size <= 0.0 or both < least2 or both > 2.0 * most2:
-            continue
-        large2 = 0.5 * (both + math.sqrt(max(both * both - 4.0 * size * size, 0.0)))
-        if large2 < least2 or large2 > most2 or size < 0.8 * view.most_tilt * large2:
-            continue
-        # n = focal^2 g g^T: what the image of an untilted plate has more.
-        n00, n01, n11 = large2 - m00, -m01, large2 - m11
-        d0x, d0y, d1x, d1y = numbers[entry, 10], numbers[entry, 11], numbers[entry, 12], numbers[entry, 13]
-        # The squares of the movements, their product, and whether the invariants have moved so, either way.
-        q0 = per_focal2 * numbers[entry, 14] ** 2 * (n00 * d0x * d0x + 2.0 * n01 * d0x * d0y + n11 * d0y * d0y)
-        q1 = per_focal2 * numbers[entry, 15] ** 2 * (n00 * d1x * d1x + 2.0 * n01 * d1x * d1y + n11 * d1y * d1y)
-        far0, far1 = max(abs(off0) - slack, 0.0), max(abs(off1) - slack, 0.0)
-        if far0 * far0 > wide2 * q0 or far1 * far1 > wide2 * q1:
-            continue
-        moved0, moved1 = math.sqrt(max(q0, 0.0)), math.sqrt(max(q1, 0.0))
-        slack0, slack1 = slack + NEGLECTED * moved0, slack + NEGLECTED * moved1
-        if n00 * d0x * d1x + n01 * (d0x * d1y + d0y * d1x) + n11 * d0y * d1y < 0.0:
-            moved1 = -moved1
-        if count < matches.shape[0] and (
-            (abs(off0 - moved0) <= slack0 and abs(off1 - moved1) <= slack1)
-            or (abs(off0 + moved0) <= slack0 and abs(off1 + moved1) <= slack1)
-        ):
+        if count < matches.shape[0] and explains(table.numbers[entry], four, order, view, room.sums, hs[count]):
             matches[count] = entry
             count += 1
     return count
@@ -246,14 +204,31 @@ def _turns(kind: int, ring: list[int], s: float, t: float) -> Iterator[tuple[lis
             hull, weights = hull[1:] + hull[:1], weights[1:] + weights[:1]
 
 
-def _numbers(kind: int, points: Floats, s: float, t: float) -> Floats:
-    """A row of the table's numbers for four LEDs (4, 2) with invariants ``s`` and ``t``."""
-    a, b, c, d = points
-    affine = np.linalg.pinv(points - points.mean(axis=0)).ravel()
-    if kind == 0:
-        return np.concatenate([[s, t], affine, c - a, d - b, [s * (1.0 - s), t * (1.0 - t)]])
-    return np.concatenate([[s, t], affine, a - d, b - d, [s, t]])
+def _cells(kinds: NDArray[np.int64], numbers: Floats, steepest: float, change: float) -> tuple[Any, Any]:
+    """Cells (m,) and which of a robot's entries they hold (m,): every entry wherever perspective may move it if the
+    depth changes by no more than ``change`` of itself from LED to LED.
+
+    In perspective a point's weight in a sum is multiplied by its relative depth w = 1 + g X. So a crossing fraction s
+    of the diagonal from a to c becomes s w(c) / ((1 - s) w(a) + s w(c)), and the barycentric coordinate s of a corner a
+    s w(a) / w(inner point). That is tried for gradients g all over a disc, so densely that no cell is missed.
+    """
+    s, t, points = numbers[:, 0], numbers[:, 1], numbers[:, POINTS:MIDDLE].reshape(-1, 4, 2)
+    across = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1).max(axis=(1, 2))
+    reach = np.minimum(np.minimum(steepest, change / across), (1.0 - LEAST_WEIGHT) / across)
+    steps = math.ceil(0.25 * float((reach * across).max()) / (2.0 * SLACK))
+    found = []
+    for step in range(steps + 1):
+        for angle in np.linspace(0.0, 2.0 * math.pi, max(6 * step, 1), endpoint=False):
+            g = (reach * step / steps)[:, None] * [math.cos(angle), math.sin(angle)]
+            w = 1.0 + np.einsum("nij,nj->ni", points, g)
+            crossing = (1.0 - s) * w[:, 0] + s * w[:, 2]
+            moved_s = s * np.where(kinds == 0, w[:, 2] / crossing, w[:, 0] / w[:, 3])
+            moved_t = t * np.where(kinds == 0, w[:, 3] / crossing, w[:, 1] / w[:, 3])
+            for i, j in itertools.product((-SLACK, SLACK), repeat=2):
+                found.append((kinds * CELLS + _cell(moved_s + i)) * CELLS + _cell(moved_t + j))
+    pairs = np.unique(np.array(found) * len(kinds) + np.arange(len(kinds)))
+    return pairs // len(kinds), pairs % len(kinds)
 
 
-def _cell(value: float) -> int:
-    return min(max(int(value * CELLS), 0), CELLS - 1)
+def _cell(values: Floats) -> NDArray[np.int64]:
+    return np.clip((values * CELLS).astype(np.int64), 0, CELLS - 1)

@@ -1,10 +1,10 @@
 """Cold search: which spots are which robot's LEDs, without any idea where the robots are.
 
 Every spot in turn, brightest first, is combined with three dimmer ones among its nearest; the quad table says which
-robots and labels the four can be; the weak perspective of three of them says how far the invariants must have moved;
-the exact homography of the four predicts the other two LEDs; a calibrated pose of the five or six decides. Six LEDs
-that fit, of a robot that cannot be mistaken at that residual, are claimed at once; all else is a hypothesis that
-`assign` judges together with its rivals.
+robots and labels the four may be; the perspective in which a plate would show them so predicts the other two LEDs; a
+calibrated pose of the five or six decides. Six LEDs that fit, of a robot that cannot be mistaken at that residual, are
+claimed at once; all else is a hypothesis that `assign` judges together with its rivals. All of it happens on the
+sphere of directions, and in planes that touch it: the same anywhere in the image of any lens.
 
 First only spots that are much alike are combined, as the LEDs of one robot are; then, for robots still missing, spots
 that are less alike, and more of them, as far as a number of quads that grows with the number of spots allows.
@@ -18,22 +18,34 @@ from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
-from asterism.server.identity.complete import HEIGHT_RATIO, RADIUS_RATIO, ByX, Four, by_x, complete, room_for_four
+from asterism.server.identity.complete import HEIGHT_RATIO, RADIUS_RATIO, Four, complete, room_for_four
 from asterism.server.identity.evidence import is_alone
 from asterism.server.identity.hypotheses import Fits, keep
-from asterism.server.identity.neighbours import Neighbours, Spots, nearest_neighbours
+from asterism.server.identity.neighbours import (
+    Directions,
+    Neighbours,
+    Spots,
+    apart2,
+    directions_of,
+    nearest_neighbours,
+)
+from asterism.server.identity.perspective import View
 from asterism.server.identity.plan import MOST_TILT, Plan
-from asterism.server.identity.quads import LookedUp, QuadTable, View, look_up, room_to_look_up
+from asterism.server.identity.quads import LookedUp, QuadTable, look_up, room_to_look_up
 from asterism.server.pose.fit import CHI2, LEDS, SYSTEMATIC_PX, FitRoom, fit_labelled, fit_room, median_of, misfit
+from asterism.server.pose.sphere import distance, project, touch
 from asterism.server.segmentation.order import ascending
 
 # Passes: least ratio of heights and of radii, nearest neighbours that are combined.
-ALIKE_HEIGHT, ALIKE_RADIUS, ALIKE_DEPTHS = 0.5, 0.75, (6, 10)
+ALIKE, ALIKE_DEPTHS = (0.5, 0.75), (6, 10)
 DEPTHS = (8, 14, 24)
+REACH_MARGIN = 1.8  # how far from a spot its robot's others may be, over what those of found robots say of LEDs' sizes
 MOST_QUADS = 12  # for every spot, of less alike ones; beyond that only the nearer combinations were tried
-REACH_PX = 3.0  # how far an LED may lie from where the homography of four puts it
+REACH_PX = 3.0  # how far an LED may lie from where four others put it
 FREE_QUADS = 5000  # however few spots there are
-SPOT_ERROR_PX = 0.2  # what a spot may be off while its quad is looked up
+SPOT_ERROR_PX = 0.2  # what a spot may be off while its quad is looked up, one sigma
+LEAST_NEARNESS, MOST_NEARNESS = 0.6, 1.6  # 1 / depth of a quad over 1 / far and 1 / near
+SMALLEST_QUAD_PX2 = 30.0  # twice the area: smaller ones say nothing
 MIRROR_RATIO = 0.6  # a second explanation of a robot is a mirror image if it is dimmer than this
 EVEN_HEIGHT = 1.7  # of the median height of a robot's spots: a brighter one among them may be another's
 
@@ -54,10 +66,10 @@ class Sought(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """``focal`` px; ``near`` and ``far`` m; ``most_tilt``: the cosine of the largest tilt; ``reach``: how far LEDs of
-    one robot are apart at most, px, and ``reach_in_radii``, in radii of their spots; ``fewest`` LEDs that make a
-    hypothesis; ``alone``: four spots are to make one, all that they may be, but only where they stand apart from all
-    like them.
+    """``focal`` px; ``near`` and ``far`` m; ``most_tilt``: the cosine of the largest tilt; ``reach``: the chord by
+    which the directions of one robot's LEDs are apart at most; ``extent`` of the largest constellation, m; ``fewest``
+    LEDs that make a hypothesis; ``alone``: four spots are to make one, all that they may be, but only where they stand
+    apart from all like them.
     """
 
     focal: float
@@ -65,7 +77,7 @@ class Limits(NamedTuple):
     far: float
     most_tilt: float
     reach: float
-    reach_in_radii: float
+    extent: float
     fewest: int
     alone: bool
 
@@ -78,24 +90,26 @@ class Results(NamedTuple):
 
 
 class _Pass(NamedTuple):
-    """A pass over the spots in the order ``by_height`` (n,): each with three of its first ``depth`` neighbours, at
-    least one beyond the first ``previous``, none farther apart than ``reaches`` (n,) px; it ends after ``most`` quads.
+    """A pass over the spots in the order ``by_height`` (n,): each with three of its first ``sizes`` (n,) neighbours, at
+    least one beyond the first ``previous`` (n,), which were tried; it ends after ``most`` quads.
     """
 
     by_height: Any
-    reaches: Any
     near: Neighbours
-    previous: int
-    depth: int
+    previous: Any
+    sizes: Any
     most: int
 
 
 class _Work(NamedTuple):
-    """Scratch of one search."""
+    """The ``directions`` of the spots and scratch of one search; ``local`` (k, 2): a spot's neighbours in the plane
+    that touches the sphere there.
+    """
 
+    directions: Directions
     looked_up: LookedUp
     four: Four
-    along: ByX
+    local: Any
     fit: FitRoom
 
 
@@ -127,14 +141,15 @@ def _judge(robot, spots, sought, limits, results, work):
     if which < 0 or cost > CHI2[count]:
         return False
     rotation, t = work.fit.rotations[which], work.fit.ts[which]
-    depth_m = t[2]
-    if not 0.8 * limits.near <= depth_m <= 1.25 * limits.far:
+    # Far off the axis a robot far away is at a small depth: it counts as what is nearer to the range.
+    away_m = distance(t)
+    if not (0.8 * limits.near <= away_m and t[2] <= 1.25 * limits.far):
         return False
     height = median_of(heights, labels)
     if sought.claimed[robot] and height < MIRROR_RATIO * sought.brightness[robot]:
         return False
     # Residual norm, m, at the robot: far below the separation no other robot fits as well.
-    residual = math.sqrt(cost * systematic2) * depth_m
+    residual = math.sqrt(cost * systematic2) * away_m
     certain = count == LEDS and 3.0 * residual <= sought.separations[robot] and not sought.claimed[robot]
     for led in range(LEDS):
         if labels[led] >= 0:
@@ -154,9 +169,9 @@ def _judge(robot, spots, sought, limits, results, work):
 @compiled
 def _view(limits):
     """How `look_up` may see a robot within the `Limits`, with some room."""
-    slack_px = 3.0 * SPOT_ERROR_PX if limits.alone else SPOT_ERROR_PX
-    focal = limits.focal
-    return View(focal, 0.8 * focal / limits.far, 1.25 * focal / limits.near, limits.most_tilt, slack_px)
+    slack_px, focal = 3.0 * SPOT_ERROR_PX if limits.alone else SPOT_ERROR_PX, limits.focal
+    least, most = LEAST_NEARNESS / limits.far, MOST_NEARNESS / limits.near
+    return View(least, most, 0.8 * limits.most_tilt, slack_px / focal, SMALLEST_QUAD_PX2 / focal**2)
 
 
 @compiled
@@ -164,7 +179,7 @@ def _try(members, spots, sought, limits, results, work, found):
     """Judge the ``found`` robots and labels that `look_up` names for four spots (4,); whether a robot was claimed."""
     four, looked_up, entries = work.four, work.looked_up, sought.quads.entries
     brightest = spots.heights[members[0]]  # the others rank after it
-    reach = 0.0 if limits.alone else REACH_PX  # alone: the other two are hidden
+    reach = 0.0 if limits.alone else REACH_PX / limits.focal  # alone: the other two are hidden
     for m in range(4):
         four.spots[m] = members[looked_up.order[m]]
     for m in range(found):
@@ -172,7 +187,7 @@ def _try(members, spots, sought, limits, results, work, found):
         robot = entry[0]
         if sought.claimed[robot] and brightest < MIRROR_RATIO * sought.brightness[robot]:
             continue
-        seen = complete(spots, sought.layouts[robot], entry[1:], four, work.along, reach)
+        seen = complete(spots, work.directions, sought.layouts[robot], entry[1:], looked_up.hs[m], four, reach)
         if (
             seen >= limits.fewest
             and (not limits.alone or is_alone(spots.flat, spots.free, spots.heights, four.labels))
@@ -183,34 +198,54 @@ def _try(members, spots, sought, limits, results, work, found):
 
 
 @compiled
+def _are_apart(local, a, b, reach):
+    """Whether two neighbours of a spot are too far apart for one robot."""
+    return abs(local[a, 0] - local[b, 0]) > reach or abs(local[a, 1] - local[b, 1]) > reach
+
+
+@compiled
+def _lay_out(i, near, size, work):
+    """Fill ``local`` with the first ``size`` neighbours of spot ``i``."""
+    units, frame = work.directions.units, work.four.frame
+    touch(units[i], frame)
+    for a in range(size):
+        work.local[a, 0], work.local[a, 1] = project(frame, units[near.lists[i, a]])
+
+
+@compiled
 def _combine(spots, sought, limits, pass_, results, work):
     """Try every spot with three of its neighbours, as the `_Pass` says; returns how many quads were tried."""
-    flat, free, lists, four = spots.flat, spots.free, pass_.near.lists, work.looked_up.four
+    free, lists, four, local, reach = spots.free, pass_.near.lists, work.looked_up.four, work.local, limits.reach
     view, members = _view(limits), np.empty(4, np.int64)
+    four[0, 0] = four[0, 1] = 0.0
     quads = 0
     for i in pass_.by_height:
-        size, reach = min(pass_.near.counts[i], pass_.depth), pass_.reaches[i]
+        size, previous = pass_.sizes[i], pass_.previous[i]
+        if not free[i] or size <= previous:
+            continue
+        _lay_out(i, pass_.near, size, work)
         for a in range(size):
             j = lists[i, a]
             if not free[i]:
                 break
             if not free[j]:
                 continue
+            four[1, 0], four[1, 1] = local[a, 0], local[a, 1]
             for b in range(a + 1, size):
                 k = lists[i, b]
                 if not (free[i] and free[j]):
                     break
-                if not free[k] or abs(flat[j, 0] - flat[k, 0]) > reach or abs(flat[j, 1] - flat[k, 1]) > reach:
+                if not free[k] or _are_apart(local, a, b, reach):
                     continue
-                for c in range(max(b + 1, pass_.previous), size):
+                four[2, 0], four[2, 1] = local[b, 0], local[b, 1]
+                for c in range(max(b + 1, previous), size):
                     l = lists[i, c]  # noqa: E741
-                    if not free[l] or abs(flat[j, 0] - flat[l, 0]) > reach or abs(flat[j, 1] - flat[l, 1]) > reach:
+                    if not free[l] or _are_apart(local, a, c, reach) or _are_apart(local, b, c, reach):
                         continue
                     quads += 1
                     if quads > pass_.most:
                         return quads
-                    four[0, 0], four[0, 1], four[1, 0], four[1, 1] = flat[i, 0], flat[i, 1], flat[j, 0], flat[j, 1]
-                    four[2, 0], four[2, 1], four[3, 0], four[3, 1] = flat[k, 0], flat[k, 1], flat[l, 0], flat[l, 1]
+                    four[3, 0], four[3, 1] = local[c, 0], local[c, 1]
                     found = look_up(work.looked_up, sought.quads, view)
                     if found == 0:
                         continue
@@ -219,6 +254,23 @@ def _combine(spots, sought, limits, pass_, results, work):
                     if claimed and not (free[i] and free[j] and free[k]):
                         break
     return quads
+
+
+@compiled
+def _within_reach(spots, work, near, claims, extent):
+    """How many of its neighbours may be of a spot's robot (n,), if LEDs are as large as those of the robots found.
+
+    A spot tells by its size how far away its robot is, and so how far the others may be.
+    """
+    units, radii, sizes = work.directions.units, spots.radii, near.counts.copy()
+    smallest = np.inf  # an LED's radius, m, times the focal length
+    for k in range(claims.filled[0]):
+        smallest = min(smallest, median_of(radii, claims.spots[k]) * distance(claims.ts[k]))
+    for i in range(sizes.shape[0]):
+        reach = REACH_MARGIN * extent * radii[i] / smallest if smallest < np.inf else np.inf
+        while sizes[i] > 0 and apart2(units, i, near.lists[i, sizes[i] - 1]) > reach * reach:
+            sizes[i] -= 1
+    return sizes
 
 
 @compiled
@@ -232,25 +284,27 @@ def search(spots, sought, limits, results):
     by_height = ascending(-spots.heights)
     ranks = np.empty(n, np.int64)
     ranks[by_height] = np.arange(n)
-    # An LED's spot tells how near it is, and so how far the others may be.
-    reaches = np.minimum(limits.reach, limits.reach_in_radii * spots.radii)
-    work = _Work(room_to_look_up(), room_for_four(), by_x(spots.flat), fit_room())
-    near = nearest_neighbours(spots, ranks, reaches, ALIKE_HEIGHT, ALIKE_RADIUS, ALIKE_DEPTHS[-1])
-    quads, previous = 0, 0
-    for depth in ALIKE_DEPTHS:
-        alike = _Pass(by_height, reaches, near, previous, depth, n * n * n)
-        quads += _combine(spots, sought, limits, alike, results, work)
-        previous = depth
-    budget = quads + max(MOST_QUADS * n, FREE_QUADS)
+    directions = directions_of(spots.rays)
+    work = _Work(directions, room_to_look_up(), room_for_four(), np.empty((DEPTHS[-1], 2)), fit_room())
+    near = nearest_neighbours(spots, directions, ranks, limits.reach, ALIKE, ALIKE_DEPTHS[-1])
+    first = np.minimum(near.counts, ALIKE_DEPTHS[0])
+    quads = _combine(spots, sought, limits, _Pass(by_height, near, np.zeros_like(first), first, n**3), results, work)
+    more = _within_reach(spots, work, near, results.claims, limits.extent)
+    quads += _combine(spots, sought, limits, _Pass(by_height, near, first, more, n**3), results, work)
     if sought.claimed.all():
         return quads  # rivals of robots that are found stand together, and were met already
-    near = nearest_neighbours(spots, ranks, reaches, HEIGHT_RATIO, RADIUS_RATIO, DEPTHS[-1])
-    previous = 0
-    for depth in DEPTHS:
-        if quads < budget and not sought.claimed.all():
-            unlike = _Pass(by_height, reaches, near, previous, depth, budget - quads)
-            quads += _combine(spots, sought, limits, unlike, results, work)
-        previous = depth
+    budget = quads + max(MOST_QUADS * n, FREE_QUADS)
+    near = nearest_neighbours(spots, directions, ranks, limits.reach, (HEIGHT_RATIO, RADIUS_RATIO), DEPTHS[-1])
+    likely = _within_reach(spots, work, near, results.claims, limits.extent)
+    tried = np.zeros_like(near.counts)
+    for sizes in (likely, near.counts):
+        for depth in DEPTHS:
+            if quads < budget and not sought.claimed.all():
+                now = np.minimum(sizes, depth)
+                quads += _combine(
+                    spots, sought, limits, _Pass(by_height, near, tried, now, budget - quads), results, work
+                )
+                tried = np.maximum(tried, now)
     return quads
 
 
@@ -259,7 +313,8 @@ def searched(
 ) -> tuple[Fits, Fits]:
     """Claims and hypotheses of a search, cut to what there is."""
     sought = Sought(plan.layouts, plan.separations, claimed, brightness, plan.quads)
-    limits = Limits(plan.focal, plan.near, plan.far, MOST_TILT, plan.reach_px, plan.reach_in_radii, fewest, alone)
+    extent = float(plan.extents.max())
+    limits = Limits(plan.focal, plan.near, plan.far, MOST_TILT, plan.reach, extent, fewest, alone)
     results = Results(Fits.room(MOST_CLAIMS), Fits.room(MOST_PENDING))
     search(spots, sought, limits, results)
     return results.claims.held(), results.pending.held()

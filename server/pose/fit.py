@@ -1,11 +1,13 @@
 """Poses of labelled spots: how well six spots, or fewer, are the LEDs of a robot."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from asterism.server.compiled import compiled
 from asterism.server.pose.planar import NO_SOLUTION, homography_ls, refine_pose, translation, two_rotations
+from asterism.server.pose.sphere import project, touch
 
 LEDS = 6
 SYSTEMATIC_PX = 0.25  # what calibration and LED positions may be off, one sigma
@@ -33,16 +35,26 @@ def fit_room():
 
 
 @compiled
-def fit_labelled(layout, labels, rays, variances, systematic2, iterations, room):
-    """Pose of a robot whose LEDs are the spots ``labels`` (6,; -1: not visible), turned towards the camera.
+def _turn_back(frame, rotation, t):
+    """A pose (3, 3), (3,) in the axes ``frame`` becomes one in the camera's, in place."""
+    for column in range(4):
+        x, y, z = (rotation[0, column], rotation[1, column], rotation[2, column]) if column < 3 else (t[0], t[1], t[2])
+        for i in range(3):
+            value = frame[0, i] * x + frame[1, i] * y + frame[2, i] * z
+            if column < 3:
+                rotation[i, column] = value
+            else:
+                t[i] = value
 
-    ``layout`` (6, 3) m; ``rays`` (n, 2) of all spots with ``variances`` (n,), to which ``systematic2`` is added.
-    Returns how many LEDs the pose rests on, the cost (squared sigmas) and which of the `FitRoom`'s poses it is; a
-    negative index if there is none.
+
+@compiled
+def _gather(layout, labels, rays, room, frame):
+    """Fill the room's visible ``points`` about their mean, where they are ``seen`` in the plane that touches the sphere
+    of directions in their midst, and its ``frame`` (3, 3). Returns their count and their mean, m.
     """
-    points, seen, information, rotations, ts = room.points, room.seen, room.information, room.rotations, room.ts
+    points, seen = room.points, room.seen
     count = 0
-    cx = cy = cz = 0.0
+    cx = cy = cz = mx = my = mz = 0.0
     for led in range(LEDS):
         spot = labels[led]
         if spot < 0:
@@ -51,18 +63,46 @@ def fit_labelled(layout, labels, rays, variances, systematic2, iterations, room)
         cx += layout[led, 0]
         cy += layout[led, 1]
         cz += layout[led, 2]
-        seen[count, 0], seen[count, 1] = rays[spot, 0], rays[spot, 1]
-        information[count, 0] = information[count, 2] = 1.0 / (variances[spot] + systematic2)
-        information[count, 1] = 0.0
+        x, y = rays[spot, 0], rays[spot, 1]
+        length = math.sqrt(1.0 + x * x + y * y)
+        mx += x / length
+        my += y / length
+        mz += 1.0 / length
         count += 1
     cx /= count
     cy /= count
     cz /= count
-    for k in range(count):
-        points[k, 0] -= cx
-        points[k, 1] -= cy
-        points[k, 2] -= cz
-    p, s, w = points[:count], seen[:count], information[:count]
+    length = math.sqrt(mx * mx + my * my + mz * mz)
+    touch((mx / length, my / length, mz / length), frame)
+    k = 0
+    for led in range(LEDS):
+        spot = labels[led]
+        if spot >= 0:
+            points[k, 0] -= cx
+            points[k, 1] -= cy
+            points[k, 2] -= cz
+            seen[k, 0], seen[k, 1] = project(frame, (rays[spot, 0], rays[spot, 1], 1.0))
+            k += 1
+    return count, cx, cy, cz
+
+
+@compiled
+def fit_labelled(layout, labels, rays, variances, systematic2, iterations, room):
+    """Pose of a robot whose LEDs are the spots ``labels`` (6,; -1: not visible), turned towards the camera.
+
+    ``layout`` (6, 3) m; ``rays`` (n, 2) of all spots with the ``variances`` (n,) of their directions, rad^2, to which
+    ``systematic2`` is added. Returns how many LEDs the pose rests on, the cost (squared sigmas) and which of the
+    `FitRoom`'s poses it is; a negative index if there is none.
+    """
+    information, rotations, ts, frame = room.information, room.rotations, room.ts, np.empty((3, 3))
+    count, cx, cy, cz = _gather(layout, labels, rays, room, frame)
+    k = 0
+    for led in range(LEDS):
+        if labels[led] >= 0:
+            information[k, 0] = information[k, 2] = 1.0 / (variances[labels[led]] + systematic2)
+            information[k, 1] = 0.0
+            k += 1
+    p, s, w = room.points[:count], room.seen[:count], information[:count]
     if not homography_ls(p, s, room.h) or not two_rotations(room.h, rotations[0], rotations[1]):
         return count, NO_SOLUTION, -1
     best, best_cost = -1, NO_SOLUTION
@@ -77,6 +117,7 @@ def fit_labelled(layout, labels, rays, variances, systematic2, iterations, room)
         if cost < best_cost and towards < 0.0:
             best, best_cost = which, cost
     if best >= 0:
+        _turn_back(frame, rotations[best], ts[best])
         for i in range(3):
             ts[best, i] -= rotations[best, i, 0] * cx + rotations[best, i, 1] * cy + rotations[best, i, 2] * cz
     return count, best_cost, best

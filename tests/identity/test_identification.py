@@ -1,4 +1,4 @@
-"""Who is who: invariants, hashing, cold search against brute force, scores and margins, warm matching."""
+"""Who is who: cold search against brute force, scores and margins, warm matching."""
 
 import itertools
 import math
@@ -9,13 +9,11 @@ import pytest
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.rig import Rig
 from asterism.server.identity.identify import Matches, identify
-from asterism.server.identity.neighbours import Spots, first_from, nearest_neighbours
 from asterism.server.identity.plan import Plan, plan_for
-from asterism.server.identity.quads import CELLS, QuadTable, View, invariants, look_up, room_to_look_up
 from asterism.server.identity.rays import Rays
 from asterism.server.pose.track import Tracks
 from tests.helpers import facing_pose
-from tests.rigs import make_rig, random_layout
+from tests.rigs import make_rig
 
 SIGMA_PX = 0.02
 
@@ -90,105 +88,6 @@ def check(matches: Matches, where: dict[int, Floats]) -> tuple[int, int]:
 
 def cold(seen: Rays, rig: Rig) -> Matches:
     return identify(seen, plan_for(rig), Tracks.none(len(rig.robots)), 0)
-
-
-def test_invariants_do_not_change_under_affine_maps(rng: np.random.Generator) -> None:
-    order, values, order2, values2 = np.empty(4, np.int64), np.empty(2), np.empty(4, np.int64), np.empty(2)
-    for _ in range(300):
-        points = rng.normal(size=(4, 2))
-        a = rng.normal(size=(2, 2))
-        if np.linalg.det(a) < 0.05:
-            continue
-        kind, area = invariants(points, order, values)
-        moved = points @ a.T + rng.normal(size=2)
-        kind2, area2 = invariants(moved, order2, values2)
-        assert kind == kind2
-        assert order.tolist() == order2.tolist()
-        np.testing.assert_allclose(values2, values, atol=1e-7)
-        assert area2 == pytest.approx(area * np.linalg.det(a), rel=1e-6)
-
-
-def test_invariants_mean_what_they_say(rng: np.random.Generator) -> None:
-    order, values = np.empty(4, np.int64), np.empty(2)
-    for _ in range(300):
-        points = rng.normal(size=(4, 2))
-        kind, _ = invariants(points, order, values)
-        q, (s, t) = points[order], values
-        if kind == 0:
-            np.testing.assert_allclose(q[0] + s * (q[2] - q[0]), q[1] + t * (q[3] - q[1]), atol=1e-9)
-        else:
-            np.testing.assert_allclose(s * q[0] + t * q[1] + (1 - s - t) * q[2], q[3], atol=1e-9)
-            assert min(s, t, 1 - s - t) >= 0
-    line = np.column_stack([np.arange(4.0), np.arange(4.0)])
-    assert invariants(line, order, values)[0] == -1
-
-
-def test_the_table_holds_every_quad_in_every_rotation(rng: np.random.Generator) -> None:
-    layouts = np.array([random_layout(rng) for _ in range(3)])
-    table = QuadTable.of(layouts)
-    order, values = np.empty(4, np.int64), np.empty(2)
-    for robot, layout in enumerate(layouts):
-        for leds in itertools.permutations(range(6), 4):
-            kind, _ = invariants(np.ascontiguousarray(layout[list(leds)]), order, values)
-            ring = [robot, *[leds[k] for k in order]]
-            cell = (kind * CELLS + int(values[0] * CELLS)) * CELLS + int(values[1] * CELLS)
-            held = table.held[table.starts[cell] : table.starts[cell + 1]]
-            (entry,) = [k for k in held if table.entries[k].tolist() == ring]
-            assert np.abs(table.numbers[entry, :2] - values).max() < 1e-9
-
-
-def test_four_leds_are_looked_up_in_any_perspective_and_their_mirror_image_is_not(rng: np.random.Generator) -> None:
-    """Every four LEDs of a near, tilted plate are among the matches of their spots; the mirrored spots find nothing
-    with the same labels.
-    """
-    focal, layouts = 1400.0, np.array([random_layout(rng) for _ in range(4)])
-    table = QuadTable.of(layouts)
-    room, order, values = room_to_look_up(), np.empty(4, np.int64), np.empty(2)
-    view = View(focal, 0.8 * focal / 2.0, 1.25 * focal / 0.8, math.cos(math.radians(75)), 0.2)
-
-    def looked_up(flat: Floats, leds: tuple[int, ...]) -> list[list[int]]:
-        room.four[:] = flat[list(leds)]
-        count = look_up(room, table, view)
-        assert count < len(room.matches)
-        return [table.entries[k].tolist() for k in room.matches[:count]]
-
-    tried = missed = 0
-    for _ in range(60):
-        robot, pose = int(rng.integers(4)), facing_pose(rng, (0.8, 2.0), (0.0, 60.0))
-        seen = pose.map(np.column_stack([layouts[robot], np.zeros(6)]))
-        flat = seen[:, :2] / seen[:, 2:] * [focal, -focal] + 0.05 * rng.standard_normal((6, 2))
-        for leds in itertools.combinations(range(6), 4):
-            found = looked_up(flat, leds)
-            area = invariants(np.ascontiguousarray(flat[list(leds)]), order, values)[1]
-            if area > 300.0:
-                tried += 1
-                missed += [robot, *[leds[k] for k in order]] not in found
-            mirrored = looked_up(flat * [-1.0, 1.0], leds)
-            assert [robot, *[leds[k] for k in room.order]] not in mirrored
-    assert tried > 700
-    assert missed <= 0.01 * tried
-
-
-def test_nearest_neighbours_equal_sorting_all_distances(rng: np.random.Generator) -> None:
-    points = rng.uniform(0, 500, (80, 2))
-    usable = rng.random(80) < 0.8
-    ranks, heights, radii = rng.permutation(80), rng.uniform(20, 200, 80), rng.uniform(1, 4, 80)
-    reaches = rng.uniform(90, 150, 80)
-    spots = Spots(points, points, heights, heights, radii, usable)
-    lists, counts = nearest_neighbours(spots, ranks, reaches, 0.5, 0.6, 6)
-    for i in np.flatnonzero(usable):
-        away = np.hypot(*(points - points[i]).T)
-        unlike = (heights < 0.5 * heights[i]) | (np.minimum(radii, radii[i]) < 0.6 * np.maximum(radii, radii[i]))
-        away[i], away[~usable | unlike | (ranks < ranks[i])] = np.inf, np.inf
-        expected = [j for j in np.argsort(away)[:6] if away[j] <= reaches[i]]
-        assert lists[i, : counts[i]].tolist() == expected
-    assert counts.max() == 6
-
-
-def test_the_first_place_equals_searchsorted(rng: np.random.Generator) -> None:
-    xs = np.sort(rng.integers(0, 50, 40).astype(float))
-    for x in [-1.0, 60.0, *rng.integers(0, 50, 30).astype(float)]:
-        assert first_from(xs, x) == np.searchsorted(xs, x, side="left")
 
 
 def test_cold_search_equals_brute_force_on_one_robot(rng: np.random.Generator) -> None:
