@@ -17,7 +17,7 @@ from asterism.server.pose.fit import LEDS
 from asterism.server.pose.solve import Alternative, Lost, PoseEstimate, Solutions
 
 ALL_LEDS = tuple(range(LEDS))
-SURE = 100.0  # odds beyond which the other tilt is not worth telling
+SURE = 1e4  # odds beyond which the other tilt is not worth telling
 LED = int(Fate.LED)  # as a plain integer for the compiled code
 
 

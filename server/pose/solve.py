@@ -7,29 +7,22 @@ own noise (calibration, LED positions) is estimated from them and added to every
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from asterism.protocol.geometry import Floats, Pose
 from asterism.server.compiled import compiled
-from asterism.server.pose.covariance import invert, move_origin, tilt_variance
+from asterism.server.pose.covariance import move_origin
 from asterism.server.pose.fit import LEDS
 from asterism.server.pose.lens import FX, FY, project_point
-from asterism.server.pose.matched import Lit, gather
-from asterism.server.pose.planar import NO_SOLUTION, normal_equations, other_minimum, refine_pose
-from asterism.server.pose.rotations import angle_between, mapped
-from asterism.server.pose.spot_shift import correct_rays, refine_shifted, spot_shifts
-from asterism.server.pose.systematic import ITERATIONS, odd_led, systematic
-
-FEW = 3  # iterations, after which a second minimum that costs more than the first by HOPELESS is good enough
-HOPELESS = 80.0  # squared sigmas: odds of e^40
-NEGLIGIBLE = 0.02  # of a spot's own variance
-SLIGHT = 0.5  # up to here more variance of every spot makes the pose less sure, but hardly moves it
-# Seen nearly in front, both minima may be one: poses no more apart than this. Where the tilt is then no better known
-# than that, its sign is open, and the copy stays as the alternative that says so.
-SAME_RAD = 0.002
-SURE_TILT_RAD = 0.022
+from asterism.server.pose.minima import SAME_RAD, Robot, curvature, find_missed, lit_of, refine_both, work_room
+from asterism.server.pose.planar import NO_SOLUTION
+from asterism.server.pose.rotations import angle_between, log_between, mapped
+from asterism.server.pose.spot_shift import spot_shifts
+from asterism.server.pose.spread import COVERED, spread, squared
+from asterism.server.pose.systematic import odd_led, systematic
+from asterism.server.pose.valley import is_frontal, look_around, survey, tilt_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,41 +105,6 @@ class Solutions(NamedTuple):
         )
 
 
-class _Robot(NamedTuple):
-    """One robot: ``layout`` (6, 3) m, ``optics`` (OPTICS,), the spots of its LEDs ``labels`` (6,)."""
-
-    layout: Any
-    optics: Any
-    labels: Any
-
-
-class _Work(NamedTuple):
-    """Scratch of one robot's solution. Either minimum has its own shifts, and so its own rays."""
-
-    points: Any  # (6, 3)
-    seen: Any  # (2, 6, 2)
-    applied: Any  # (2, 6, 2)
-    information: Any  # (6, 3)
-    own: Any  # (6, 3): information of the spots' own noise
-    centre: Any  # (3,) of the visible LEDs
-    shifts: Any  # (6, 2)
-    start: Any  # (3, 3)
-    start_t: Any  # (3,)
-    kept: Any  # (3, 3)
-    kept_t: Any  # (3,)
-    arm: Any  # (3,)
-    a: Any  # (6, 6)
-    b: Any  # (6,)
-
-
-@compiled
-def _work():
-    points, seen, applied, information = np.empty((6, 3)), np.empty((2, 6, 2)), np.empty((2, 6, 2)), np.empty((6, 3))
-    own, centre, shifts, start, start_t = np.empty((6, 3)), np.empty(3), np.empty((6, 2)), np.empty((3, 3)), np.empty(3)
-    kept, kept_t, arm, a, b = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((6, 6)), np.empty(6)
-    return _Work(points, seen, applied, information, own, centre, shifts, start, start_t, kept, kept_t, arm, a, b)
-
-
 @compiled
 def _of(solutions, k):
     """One robot's rows."""
@@ -155,105 +113,81 @@ def _of(solutions, k):
 
 
 @compiled
-def _lit(work, which, count, information):
-    """The ``count`` visible LEDs as one of the minima sees them."""
-    return Lit(work.points[:count], work.seen[which, :count], work.applied[which, :count], information[:count])
-
-
-@compiled
-def _other(solution, known, lit, optics, focal):
-    """Fill the pose's other minimum from the ``known`` one; its cost. The rays of ``lit`` become the other's."""
-    rotations, ts = solution.rotations, solution.ts
-    rotation, t = rotations[1 - known], ts[1 - known]
-    if not other_minimum(rotations[known], ts[known], lit.points, lit.seen, rotation, t) or t[2] <= 0.0:
-        return NO_SOLUTION
-    correct_rays(rotation, t, lit, optics)
-    found = refine_pose(rotation, t, lit.points, lit.seen, lit.information, FEW)
-    if found < solution.costs[known] + HOPELESS:
-        found = refine_shifted(rotation, t, lit, optics, focal, ITERATIONS)
-    return found
-
-
-@compiled
-def _both_minima(robot, solution, focal, work, count):
-    """Fill both minima of a robot, refined from the start in ``work``."""
-    rotations, ts, costs, optics = solution.rotations, solution.ts, solution.costs, robot.optics
-    lit, others = _lit(work, 0, count, work.information), _lit(work, 1, count, work.information)
-    start, start_t, centre = work.start, work.start_t, work.centre
-    rotations[0] = start
-    for i in range(3):
-        ts[0, i] = start_t[i]
-        for j in range(3):
-            ts[0, i] += start[i, j] * centre[j]
-    costs[0] = refine_shifted(rotations[0], ts[0], lit, optics, focal, ITERATIONS)
-    costs[1] = _other(solution, 0, others, optics, focal)
-    if costs[1] < costs[0]:
-        # The start was the worse one's, perhaps too far from it to arrive: from the better it is near.
-        work.kept[:, :], work.kept_t[:] = rotations[0], ts[0]
-        kept_cost = costs[0]
-        costs[0] = _other(solution, 1, lit, optics, focal)
-        if costs[0] > kept_cost:
-            rotations[0], ts[0], costs[0] = work.kept, work.kept_t, kept_cost
-            correct_rays(rotations[0], ts[0], lit, optics)
-
-
-@compiled
-def _largest(table, column):
-    """The largest number of a column of a table (n, m) of numbers that are not negative."""
-    largest = 0.0
-    for k in range(table.shape[0]):
-        largest = max(largest, table[k, column])
-    return largest
-
-
-@compiled
-def _refine_both(robot, measured, solution, focal, work):
-    """Fill both minima of a robot, costs as of `refine_pose`, and leave ``work`` as they saw the spots.
-
-    Residuals beyond the spots' noise, whatever causes them, count as noise of every spot: then both are refined again.
-    Returns the better one and how many LEDs are visible.
-    """
-    rotations, ts, costs = solution.rotations, solution.ts, solution.costs
-    room = Lit(work.points, work.seen[0], work.applied[0], work.information)
-    extra, is_slight = 0.0, False
-    better = count = 0
-    for attempt in range(2):
-        count = gather(robot.layout, robot.labels, measured, work.shifts, extra, focal, room, work.centre)
-        work.seen[1, :, :] = work.seen[0]
-        work.applied[1, :, :] = work.applied[0]
-        if attempt == 0:
-            _both_minima(robot, solution, focal, work, count)
-        elif not is_slight:
-            for which in range(2):
-                if costs[which] < NO_SOLUTION:
-                    lit = _lit(work, which, count, work.information)
-                    costs[which] = refine_shifted(rotations[which], ts[which], lit, robot.optics, focal, ITERATIONS)
-        better = 0 if costs[0] <= costs[1] else 1
-        if attempt == 1 or costs[better] >= NO_SOLUTION:
-            break
-        work.own[:count] = work.information[:count]
-        lit = _lit(work, better, count, work.information)
-        extra, _ = systematic(rotations[better], ts[better], lit, focal)
-        share = extra * (_largest(lit.information, 0) + _largest(lit.information, 2))
-        if share < NEGLIGIBLE:
-            break
-        is_slight = share < SLIGHT
-    return better, count
-
-
-@compiled
-def _measure_up(rotation, t, lit, work, covariance):
-    """Fill the ``covariance`` (6, 6) of a pose about the visible LEDs' mean, and move both to the plane's origin."""
-    a, arm, centre = work.a, work.arm, work.centre
-    normal_equations(rotation, t, lit.points, lit.seen, lit.information, a, work.b)
-    invert(a, covariance)
-    # t -= R centre, with the rotation's share.
+def _fill_arm(rotation, centre, arm):
+    """Fill ``arm`` (3,): the plane's origin as seen from the visible LEDs' mean, in the camera's axes."""
     for i in range(3):
         arm[i] = 0.0
         for j in range(3):
             arm[i] -= rotation[i, j] * centre[j]
-        t[i] += arm[i]
-    move_origin(covariance, arm)
+
+
+@compiled
+def _spread(solution, which, alone, lit, work):
+    """Fill the covariance of a minimum, about the plane's origin: alone, or what lies on its side of the other.
+
+    Returns minus twice the logarithm of the minimum's width (of all six numbers together): of two minima of equal cost
+    the wider is the likelier.
+    """
+    rotation, t, covariance = solution.rotations[which], solution.ts[which], solution.covariances[which]
+    valley = work.valley
+    narrow = curvature(rotation, t, lit, work, covariance)
+    if not is_frontal(rotation, t, covariance, valley) or not survey(rotation, t, lit, work.centre, valley):
+        _fill_arm(rotation, work.centre, work.arm)
+        move_origin(covariance, work.arm)
+        return narrow
+    x, y = tilt_of(rotation, valley)
+    other_x, other_y = tilt_of(solution.rotations[1 - which], valley)
+    spread(x, y, other_x, other_y, alone, look_around(x, y, valley), valley, covariance)
+    return narrow
+
+
+@compiled
+def _apart(solution, better, work):
+    """Squared difference of the two minima's poses, weighted by the better one's covariance."""
+    rotations, ts, move = solution.rotations, solution.ts, np.empty(6)
+    log_between(rotations[better], rotations[1 - better], move[3:])
+    for i in range(3):
+        move[i] = ts[1 - better, i] - ts[better, i]
+        for j in range(3):
+            move[i] -= (rotations[1 - better, i, j] - rotations[better, i, j]) * work.centre[j]
+    return squared(move, solution.covariances[better], work.valley)
+
+
+@compiled
+def _faces(rotation, t):
+    """Whether a pose turns its plane's +z to the camera."""
+    towards = 0.0
+    for i in range(3):
+        towards += rotation[i, 2] * t[i]
+    return towards < 0.0
+
+
+@compiled
+def _measure_up(solution, better, count, focal, work):
+    """Fill costs and covariances of both minima, about the visible LEDs' mean; one that is no other pose goes."""
+    rotations, ts, costs = solution.rotations, solution.ts, solution.costs
+    for which in range(2):
+        if costs[which] < NO_SOLUTION and not _faces(rotations[which], ts[which]):
+            costs[which] = NO_SOLUTION
+    if costs[better] >= NO_SOLUTION:
+        better = 1 - better
+        if costs[better] >= NO_SOLUTION:
+            return
+    other = 1 - better
+    for which in range(2):
+        if costs[which] < NO_SOLUTION:
+            _, costs[which] = systematic(rotations[which], ts[which], lit_of(work, which, count, work.own), focal)
+    lit = lit_of(work, better, count, work.information)
+    if costs[other] < NO_SOLUTION and angle_between(rotations[0], rotations[1]) < SAME_RAD:
+        costs[other] = NO_SOLUTION
+    narrow = _spread(solution, better, costs[other] >= NO_SOLUTION, lit, work)
+    if costs[other] >= NO_SOLUTION:
+        return
+    if _apart(solution, better, work) <= COVERED:
+        costs[other] = NO_SOLUTION
+        _spread(solution, better, True, lit, work)
+    else:
+        costs[other] += _spread(solution, other, False, lit_of(work, other, count, work.information), work) - narrow
 
 
 @compiled
@@ -274,31 +208,22 @@ def _fill_residuals(lens, robot, rotation, t, centres_px, shifts, residuals):
 @compiled
 def _solve(lens, robot, measured, solution, focal, work):
     """Solve one robot from the start in ``work``; ``solution`` are its rows of the `Solutions`."""
-    rotations, ts, costs, covariances = solution.rotations, solution.ts, solution.costs, solution.covariances
+    rotations, ts, costs = solution.rotations, solution.ts, solution.costs
     spot_shifts(work.start, work.start_t, robot.layout, robot.optics, work.shifts)
     odd = odd_led(robot.layout, robot.labels, measured, work.shifts, work.start, work.start_t, focal)
     if odd >= 0:
         robot.labels[odd] = -1
     costs[:] = NO_SOLUTION
-    better, count = _refine_both(robot, measured, solution, focal, work)
+    better, count = refine_both(robot, measured, solution, focal, work)
+    better = find_missed(robot, solution, better, count, focal, work)
+    _measure_up(solution, better, count, focal, work)
     for which in range(2):
-        rotation, t = rotations[which], ts[which]
-        towards = 0.0
-        for i in range(3):
-            towards += rotation[i, 2] * t[i]
-        if costs[which] >= NO_SOLUTION or towards >= 0.0:
-            costs[which] = NO_SOLUTION
-            continue
-        _, costs[which] = systematic(rotation, t, _lit(work, which, count, work.own), focal)
-        _measure_up(rotation, t, _lit(work, which, count, work.information), work, covariances[which])
-        _fill_residuals(lens, robot, rotation, t, measured.centres_px, work.shifts, solution.residuals[which])
-    if (
-        costs[0] < NO_SOLUTION
-        and costs[1] < NO_SOLUTION
-        and angle_between(rotations[0], rotations[1]) < SAME_RAD
-        and tilt_variance(rotations[better], covariances[better]) < SURE_TILT_RAD**2
-    ):
-        costs[1 - better] = NO_SOLUTION
+        if costs[which] < NO_SOLUTION:
+            _fill_arm(rotations[which], work.centre, work.arm)
+            ts[which] += work.arm
+            _fill_residuals(
+                lens, robot, rotations[which], ts[which], measured.centres_px, work.shifts, solution.residuals[which]
+            )
 
 
 @compiled
@@ -307,10 +232,10 @@ def solve_robots(lens, constellations, matched, measured, solutions):
 
     ``lens`` as in `lens`. Where one of six spots turns out to be odd, the robot's assignment is changed.
     """
-    work = _work()
+    work = work_room()
     focal = math.sqrt(lens[FX] * lens[FY])
     for k in range(matched.robots.shape[0]):
         work.start[:, :], work.start_t[:] = matched.rotations[k], matched.ts[k]
         index = matched.robots[k]
-        robot = _Robot(constellations.layouts[index], constellations.optics[index], matched.assignment[k])
+        robot = Robot(constellations.layouts[index], constellations.optics[index], matched.assignment[k])
         _solve(lens, robot, measured, _of(solutions, k), focal, work)

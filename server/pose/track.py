@@ -23,7 +23,7 @@ FORGET_NS = 1_000_000_000  # a robot not seen for this long is looked for anew
 VELOCITY_GAIN = 0.5  # of the newest difference of poses
 TILT_SIGMA = math.radians(4.0)  # how far a tilt follows its prediction
 TILT_MEMORY = 0.95  # of the evidence for one tilt, a frame: errors of successive frames are not independent
-MOST_EVIDENCE = math.log(1e4)
+MOST_EVIDENCE = math.log(1e8)
 
 # Columns of `numbers`: one sigma of position (m), rotation (rad), velocity (m/s) and turn (rad/s); the height of the
 # spots (grey levels); the evidence, in nats, for the tilt over the other one; whether there is another one.

@@ -11,6 +11,7 @@ from asterism.protocol.geometry import Pose, angle_between, log_rotation
 from asterism.protocol.messages import Fate
 from asterism.protocol.rig import Rig, load_rig
 from asterism.server import Frame, FrameResult, Lost, PoseEstimate, Tracks, localize
+from asterism.server.chain.answers import SURE
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.simulation.simulate import Look, Scene, Truth
 from tests.rigs import make_camera, make_rig
@@ -139,7 +140,7 @@ def test_both_tilts_are_told_where_the_spots_leave_it_open() -> None:
             else:
                 told += 1
                 assert answer.state == "TILT_AMBIGUOUS"
-                assert 1.0 <= answer.alternative.odds < 100.0
+                assert 1.0 <= answer.alternative.odds < SURE
                 other = angle_between(answer.alternative.pose.rotation, entry.T_camera_robot.rotation)
                 assert min(right, other) < np.radians(8)
     assert told > 0

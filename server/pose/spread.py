@@ -1,0 +1,141 @@
+"""How far off a pose may be that is seen nearly in front: the covariance of all tilts that its spots allow (`valley`).
+
+It is the second moment about the pose, of all tilts weighted by their likelihood; the rest follows them, as a quadratic
+function of the tilt, and has its own covariance at every tilt. The third and fourth moments of such a valley are not a
+Gaussian's: a tilt that is not yet out of the question may lie ten sigma away. So the covariance is widened until none
+lies beyond it, which costs the typical pose little, since few have any.
+"""
+
+import math
+
+import numpy as np
+
+from asterism.server.compiled import compiled
+from asterism.server.pose.covariance import invert
+from asterism.server.pose.valley import COARSE, DOUBT, FINE_X, FINE_Y, fill_quartic, move_at, value_at
+
+COVERED = 25.0  # squared error, weighted by the covariance, that a tilt in doubt may at most have
+
+
+@compiled
+def squared(move, covariance, valley):
+    """Square of a move (6,), weighted by the ``covariance`` (6, 6)."""
+    half, inverse = valley.half, valley.inverse
+    half[:, :] = covariance
+    invert(half, inverse)
+    total = 0.0
+    for i in range(6):
+        for j in range(6):
+            total += move[i] * inverse[i, j] * move[j]
+    return total
+
+
+@compiled
+def spread(x, y, other_x, other_y, alone, step, valley, covariance):
+    """Fill ``covariance`` (6, 6) of the minimum at the tilt (x, y), about the plane's origin.
+
+    It is the second moment of all tilts about the minimum, or where that is not ``alone`` of those on its side of the
+    other one, widened until it covers those that are in doubt. ``step`` is that of `look_around`.
+    """
+    coarse, fine, cost = valley.coarse, valley.fine, valley.cost
+    lowest = value_at(cost, x, y)
+    dx, dy = other_x - x, other_y - y
+    half = 0.5 * (other_x * other_x + other_y * other_y - x * x - y * y)
+    x0 = x1 = x
+    y0 = y1 = y
+    for i in range(2 * COARSE + 1):
+        for j in range(2 * COARSE + 1):
+            at_x, at_y = (i - COARSE) * step, (j - COARSE) * step
+            if coarse[i, j] < lowest + DOUBT and (alone or at_x * dx + at_y * dy < half):
+                x0, x1, y0, y1 = min(x0, at_x), max(x1, at_x), min(y0, at_y), max(y1, at_y)
+    step_x, step_y = 0.5 * (x1 - x0 + 2.0 * step) / FINE_X, 0.5 * (y1 - y0 + 2.0 * step) / FINE_Y
+    x0, y0 = x0 - step, y0 - step
+    # Moves are those from this minimum.
+    moves, sums = valley.from_here, valley.sums
+    moves[:, :] = valley.moves
+    move_at(x, y, valley.moves, moves[0])
+    for k in range(6):
+        moves[0, k] = valley.moves[0, k] - moves[0, k]
+    sums[:, :] = 0.0
+    total = 0.0
+    terms = np.empty(6)
+    for i in range(2 * FINE_X + 1):
+        for j in range(2 * FINE_Y + 1):
+            at_x, at_y = x0 + i * step_x, y0 + j * step_y
+            fine[i, j] = value_at(cost, at_x, at_y) - lowest
+            if not (alone or at_x * dx + at_y * dy < half):
+                fine[i, j] = 2.0 * DOUBT
+            if fine[i, j] > 1.5 * DOUBT:
+                continue
+            weight = math.exp(-0.5 * fine[i, j])
+            terms[0], terms[1], terms[2] = 1.0, at_x, at_y
+            terms[3], terms[4], terms[5] = at_x * at_x, at_x * at_y, at_y * at_y
+            total += weight
+            for p in range(6):
+                for q in range(p + 1):
+                    sums[p, q] += weight * terms[p] * terms[q]
+    _from_sums(total, valley, covariance)
+    for _ in range(3):
+        if not _cover(x0, y0, step_x, step_y, valley, covariance):
+            break
+
+
+@compiled
+def _from_sums(total, valley, covariance):
+    """Fill ``covariance`` (6, 6) with the second moment of the moves, and what the rest varies by at every tilt."""
+    moves, sums, half, rest = valley.from_here, valley.sums, valley.half, valley.rest
+    axis, arm = valley.axes[2], valley.arm
+    for p in range(6):
+        for q in range(p):
+            sums[q, p] = sums[p, q]
+    for p in range(6):
+        for k in range(6):
+            half[p, k] = 0.0
+            for q in range(6):
+                half[p, k] += sums[p, q] * moves[q, k] / total
+    for i in range(6):
+        for k in range(6):
+            covariance[i, k] = 0.0
+            for p in range(6):
+                covariance[i, k] += moves[p, i] * half[p, k]
+    for i in range(3):
+        for j in range(3):
+            covariance[i, j] += rest[i, j] + arm[i] * rest[3, j] + rest[i, 3] * arm[j] + arm[i] * rest[3, 3] * arm[j]
+            covariance[3 + i, 3 + j] += axis[i] * rest[3, 3] * axis[j]
+            covariance[i, 3 + j] += (rest[i, 3] + arm[i] * rest[3, 3]) * axis[j]
+            covariance[3 + i, j] += axis[i] * (rest[3, j] + rest[3, 3] * arm[j])
+
+
+@compiled
+def _cover(x0, y0, step_x, step_y, valley, covariance):
+    """Widen the ``covariance`` to the tilt in doubt that lies furthest beyond it, if any does."""
+    moves, half, gram, fine = valley.from_here, valley.half, valley.gram, valley.fine
+    inverse, quartic = valley.inverse, valley.beyond
+    half[:, :] = covariance
+    invert(half, inverse)
+    for p in range(6):
+        for k in range(6):
+            half[p, k] = 0.0
+            for q in range(6):
+                half[p, k] += moves[p, q] * inverse[q, k]
+        for r in range(p + 1):
+            gram[p, r] = 0.0
+            for k in range(6):
+                gram[p, r] += half[p, k] * moves[r, k]
+    fill_quartic(gram, quartic)
+    most, most_x, most_y = COVERED, 0.0, 0.0
+    for i in range(2 * FINE_X + 1):
+        for j in range(2 * FINE_Y + 1):
+            if fine[i, j] < DOUBT:
+                beyond = value_at(quartic, x0 + i * step_x, y0 + j * step_y)
+                if beyond > most:
+                    most, most_x, most_y = beyond, x0 + i * step_x, y0 + j * step_y
+    if most <= 1.05 * COVERED:
+        return False
+    move = np.empty(6)
+    move_at(most_x, most_y, moves, move)
+    growth = 1.0 / COVERED - 1.0 / most
+    for i in range(6):
+        for j in range(6):
+            covariance[i, j] += growth * move[i] * move[j]
+    return True
