@@ -30,6 +30,7 @@ ESTIMATORS = ("edge-model", "grey-square", "clip", "zernike")  # the first is th
 COPLANAR = 0.02  # of the extent: LEDs farther from their common plane are refused
 SEPARATION = 0.02  # of the extent: constellations nearer than this cannot be told apart
 LARGEST_M = 5.0  # between two LEDs of a robot
+LONGEST_LINE_US = 1000.0  # of a rolling shutter; sensors take 5 to 70
 NEAREST_LEDS = 0.03  # of the extent: LEDs nearer than this would be one spot
 
 
@@ -77,6 +78,7 @@ class Capture:
     gain: float | None = None
     size: tuple[int, int] | None = None  # width, height
     bits: int | None = None  # of a 16-bit frame's pixels; None: all 16
+    line_time_us: float = 0.0  # of a rolling shutter, from one row to the next, downwards; 0: all rows at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,7 +204,7 @@ def _masks(section: Section, camera: Camera) -> tuple[tuple[int, int, int, int],
 
 
 def _capture(section: Section) -> Capture:
-    section.only(("rate", "exposure_us", "gain", "size", "bits"), CAPTURE_WORDS)
+    section.only(("rate", "exposure_us", "gain", "size", "bits", "line_time_us"), CAPTURE_WORDS)
     size = None
     if "size" in section:
         width, height = section.numbers("size", 2, "width, height px")
@@ -215,7 +217,19 @@ def _capture(section: Section) -> Capture:
         gain=section.number("gain", least=0) if "gain" in section else None,
         size=size,
         bits=section.integer("bits", 8, 16) if "bits" in section else None,
+        line_time_us=_line_time(section) if "line_time_us" in section else 0.0,
     )
+
+
+def _line_time(section: Section) -> float:
+    time = section.number("line_time_us", least=0)
+    if time > LONGEST_LINE_US:
+        raise section.error(
+            "line_time_us",
+            f"{time:g}, expected us from one row to the next, at most {LONGEST_LINE_US:g}; is that ns, or the time of "
+            "all rows?",
+        )
+    return time
 
 
 def _world(section: Section) -> Pose:

@@ -31,6 +31,7 @@ RIG_WORDS = {
     "exposure_us": "capture.exposure_us",
     "gain": "capture.gain",
     "bits": "capture.bits",
+    "line_time_us": "capture.line_time_us",
     "size": "capture.size",
     "resolution": "capture.size",
 }
@@ -46,6 +47,11 @@ CAPTURE_WORDS = {
     "width": "size",
     "height": "size",
     "depth": "bits",
+    "line_time": "line_time_us",
+    "row_time": "line_time_us",
+    "row_time_us": "line_time_us",
+    "line_time_ns": "line_time_us",
+    "rolling_shutter": "line_time_us",
 }
 WORLD_WORDS = {
     "translation": "position",

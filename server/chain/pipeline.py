@@ -16,6 +16,7 @@ from asterism.server.identity.rays import Rays, rays_of
 from asterism.server.pose.choose import Choices, choose
 from asterism.server.pose.lens import undistort
 from asterism.server.pose.matched import Matched, Measured
+from asterism.server.pose.rolling import Setup, at_own_rows, solve_rolling
 from asterism.server.pose.solve import Solutions, solve_robots
 from asterism.server.pose.track import Tracks
 from asterism.server.segmentation.spot_table import SHOULDER
@@ -31,10 +32,13 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     known = tracks.copy_for(len(rig.robots))
     blobs = _blobs(image, plan)
     seen = rays_of(blobs, plan)
-    matches = identify(seen, plan, known, frame.exposed_ns)
+    matches = identify(seen, plan, _at_own_rows(known, frame, plan), frame.exposed_ns)
     _part_leaning(image, blobs, seen, matches.found, plan)
-    solutions = _solve(blobs, seen, matches.found, plan)
-    choices = _choose(frame, seen, matches.found, solutions, plan, known)
+    if plan.shutter is None:
+        solutions = _solve(blobs, seen, matches.found, plan)
+        choices = _choose(frame, seen, matches.found, solutions, plan, known)
+    else:
+        solutions, choices, known = _solve_rolling(frame, blobs, seen, matches.found, plan, known)
     answers = answers_of(plan, blobs, seen, matches, solutions, choices)
     return FrameResult(frame.index, frame.exposed_ns, blobs, answers), known
 
@@ -82,3 +86,20 @@ def _choose(frame: Frame, seen: Rays, found: Matched, solutions: Solutions, plan
     choices = Choices.room(len(found.ts))
     choose(found, frame.exposed_ns, solutions, seen.heights, plan.mounts, known, choices)
     return choices
+
+
+def _at_own_rows(known: Tracks, frame: Frame, plan: Plan) -> Tracks:
+    """Where a rolling shutter will see the robots."""
+    if plan.shutter is None:
+        return known
+    return at_own_rows(known, frame.exposed_ns, plan.lens, plan.shutter)
+
+
+def _solve_rolling(
+    frame: Frame, blobs: Blobs, seen: Rays, found: Matched, plan: Plan, known: Tracks
+) -> tuple[Solutions, Choices, Tracks]:
+    """Solutions and choices at mid-frame, of LEDs each of which was seen at its own row's time."""
+    assert plan.shutter is not None
+    measured = Measured(seen.rays, seen.covariances, blobs.centres_px[seen.rows])
+    setup = Setup(plan.lens, plan.constellations, plan.mounts, plan.shutter)
+    return solve_rolling(setup, found, measured, seen.heights, frame.exposed_ns, known)

@@ -14,6 +14,7 @@ from asterism.server.identity.quads import QuadTable
 from asterism.server.pose.choose import Mounts
 from asterism.server.pose.lens import lens_of
 from asterism.server.pose.matched import Constellations
+from asterism.server.pose.rolling import Shutter
 from asterism.server.pose.spot_shift import optics_of
 from asterism.server.segmentation.segment import Scratch
 
@@ -52,6 +53,8 @@ class Plan:
             self.largest_radius_px = LED_MARGIN * largest * self.focal / self.near + 2.0
         else:
             self.largest_radius_px = LARGEST_SPOT * math.hypot(camera.width, camera.height)
+        line_s = 1e-6 * rig.capture.line_time_us
+        self.shutter = Shutter(line_s, 0.5 * (camera.height - 1)) if line_s > 0.0 else None
         self._scratch: deque[Scratch] = deque()
 
     def _range(self) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
+from asterism.server.pose.courses import Courses
 from asterism.server.pose.rotations import angle_between, exp_into, log_between, product_into
 
 ACCELERATION = 6.0  # m/s^2, one sigma: a small robot that starts or stops hard
@@ -43,6 +44,7 @@ class Tracks(NamedTuple):
     turns: Floats  # (robots, 3) rad/s
     other_rotations: Floats  # (robots, 3, 3): the other tilt
     numbers: Floats  # (robots, 7), see above
+    courses: Courses  # under a rolling shutter only
 
     @staticmethod
     def none(robots: int = 0) -> "Tracks":
@@ -55,6 +57,7 @@ class Tracks(NamedTuple):
             np.zeros((robots, 3)),
             np.zeros((robots, 3, 3)),
             np.zeros((robots, 7)),
+            Courses.none(),
         )
 
     def copy_for(self, robots: int) -> "Tracks":
@@ -69,6 +72,7 @@ class Tracks(NamedTuple):
             self.turns.copy(),
             self.other_rotations.copy(),
             self.numbers.copy(),
+            self.courses,
         )
 
 

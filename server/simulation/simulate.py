@@ -8,6 +8,7 @@ Frames depend on the scene and their index alone, so any frame can be rendered o
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -41,11 +42,14 @@ class Look:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """Where a robot is in a frame: T_camera_robot, and which of its LEDs are lit."""
+    """Where a robot is in a frame: T_camera_robot, and which of its LEDs are lit; for a rolling shutter also where it
+    is so many seconds ``after`` mid-frame.
+    """
 
     robot: str
     T_camera_robot: Pose
     lit: tuple[bool, ...]
+    after: Callable[[float], Pose] | None = None
 
 
 class Scene:
@@ -56,6 +60,7 @@ class Scene:
         self.seed = seed
         self.look = look or Look()
         self.lens = lens_of(rig.camera)
+        self.line_s = 1e-6 * rig.capture.line_time_us
         self.T_camera_table, distance = _table(rig)
         rng = np.random.default_rng([seed, 1])
         n = len(rig.robots)
@@ -115,9 +120,13 @@ class Scene:
         """Every robot in frame ``index``, taken at ``time_s``."""
         rng = np.random.default_rng([self.seed, 2, index])
         lit = rng.random((len(self.rig.robots), 6)) >= self.look.hidden
-        return [
-            Truth(robot.id, self.pose(k, time_s), tuple(lit[k].tolist())) for k, robot in enumerate(self.rig.robots)
-        ]
+        return [self._truth(k, time_s, tuple(lit[k].tolist())) for k in range(len(lit))]
+
+    def _truth(self, k: int, time_s: float, lit: tuple[bool, ...]) -> Truth:
+        def after(later_s: float) -> Pose:
+            return self.pose(k, time_s + later_s)
+
+        return Truth(self.rig.robots[k].id, after(0.0), lit, after if self.line_s > 0.0 else None)
 
     def render(self, index: int, truth: list[Truth]) -> NDArray[np.uint8]:
         """The image (h, w) uint8 of frame ``index`` with the robots where ``truth`` says."""
@@ -128,10 +137,10 @@ class Scene:
         for k, entry in enumerate(truth):
             robot = self.rig.robots[k]
             radius = robot.led_radius or DEFAULT_LED_RADIUS
-            turn = entry.T_camera_robot.rotation
-            axis = turn @ robot.axis
-            normal = turn @ robot.T_robot_plane.rotation[:, 2]
-            for number, led in enumerate(entry.T_camera_robot.map(robot.leds)):
+            for number in range(len(robot.leds)):
+                pose = self._seen(entry, robot.leds[number])
+                led, turn = pose.map(robot.leds[number]), pose.rotation
+                axis, normal = turn @ robot.axis, turn @ robot.T_robot_plane.rotation[:, 2]
                 facing = -float(axis @ led) / float(np.linalg.norm(led))
                 if not entry.lit[number] or facing <= 0.0 or led[2] <= 0.0:
                     continue
@@ -148,6 +157,16 @@ class Scene:
             patch, x0, y0 = _glint(rng, camera.width, camera.height, look.psf_px)
             _expose(image, patch, x0, y0, look, rng)
         return image
+
+    def _seen(self, entry: Truth, led: Floats) -> Pose:
+        """T_camera_robot at the time at which one of the robot's LEDs (3,) is seen: that of its own row."""
+        pose = entry.T_camera_robot
+        if entry.after is None:
+            return pose
+        for _ in range(4):  # the row depends on the time: each round leaves a hundredth
+            row = project_point(self.lens, *pose.map(led).tolist())[1]
+            pose = entry.after((row - 0.5 * (self.rig.camera.height - 1)) * self.line_s)
+        return pose
 
     def _noise_bank(self) -> NDArray[np.uint8]:
         camera = self.rig.camera

@@ -68,6 +68,7 @@ def test_everything_is_read(folder: Path) -> None:
     assert (rig.range_m, rig.masks, rig.centre) == ((0.8, 2.0), ((0, 0, 200, 80),), "grey-square")
     assert (rig.capture.rate_hz, rig.capture.exposure_us, rig.capture.size) == (60, 500, (1280, 1024))
     assert rig.capture.bits == 10
+    assert rig.capture.line_time_us == 0.0
     assert (alpha.led_radius, alpha.axis.tolist()) == (0.0025, [0, 0, 1])
     assert alpha.points["tool"].tolist() == [0, 0, -0.03]
     assert alpha.normal is not None
@@ -107,6 +108,14 @@ LED = "      - [0.050, 0.000, 0.012]\n"
         ("grey-square", "centroid", "centre: 'centroid', expected one of edge-model, grey-square"),
         ("rate: 60", "rate: 0", "capture.rate: 0, expected a number above 0"),
         ("bits: 10", "bits: 20", "capture.bits: 20, expected a whole number from 8 to 16"),
+        ("bits: 10", "line_time_us: -1", "capture.line_time_us: -1, expected a number, 0 or more"),
+        ("bits: 10", "line_time_us: fast", "capture.line_time_us: 'fast', expected a number, 0 or more"),
+        (
+            "bits: 10",
+            "line_time_us: 14800",
+            "capture.line_time_us: 14800, expected us from one row to the next, at most 1000; is that ns, or the time "
+            "of all rows?",
+        ),
         ("[1.0, 0.0, 0.0, 0.0]", "[1.0, 0.0, 0.0, 1.0]", "world.orientation: a quaternion of length 1.41421"),
         ("axis: [0, 0, 2]", "axis: [0, 0, 0]", "robots.alpha.led.axis: [0, 0, 0] has no direction"),
         ("axis: [0, 0, 2]", "axis: [1, 0, 0]", "expected led.axis to point out of it"),
@@ -188,6 +197,7 @@ def test_large_and_small_rigs_that_are_right_are_read(folder: Path, old: str, ne
         ("    points:", "    led_radius: 0.0025\n    points:", "did you mean 'led.radius'?"),
         ("capture:", "exposure_us: 500\ncapture:", "unknown key 'exposure_us'; did you mean 'capture.exposure_us'?"),
         ("rate: 60", "fps: 60", "capture: unknown key 'fps'; did you mean 'rate'?"),
+        ("bits: 10", "line_time: 15", "capture: unknown key 'line_time'; did you mean 'line_time_us'?"),
         ("    points:", "    colour: red\n    points:", "unknown key 'colour'; Accepted: leds, led, points, normal"),
     ],
 )
@@ -196,10 +206,13 @@ def test_other_words_for_a_key_are_understood(folder: Path, old: str, new: str, 
     assert words in refusal(folder, RIG.replace(old, new, 1))
 
 
+CAPTURE_KEYS = ("rate", "exposure_us", "gain", "bits", "size", "line_time_us")
+
+
 def test_every_word_stands_for_a_key_that_is_accepted() -> None:
     accepted = {
-        "RIG_WORDS": {*rig.RIG_KEYS, *(f"capture.{key}" for key in ("rate", "exposure_us", "gain", "bits", "size"))},
-        "CAPTURE_WORDS": {"rate", "exposure_us", "gain", "size", "bits"},
+        "RIG_WORDS": {*rig.RIG_KEYS, *(f"capture.{key}" for key in CAPTURE_KEYS)},
+        "CAPTURE_WORDS": set(CAPTURE_KEYS),
         "WORLD_WORDS": {"position", "orientation"},
         "ROBOT_WORDS": {"leds", "points", "normal", "led.radius", "led.axis", "led.offset"},
         "LED_WORDS": {"radius", "axis"},
