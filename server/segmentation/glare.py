@@ -24,7 +24,7 @@ TILE = 32  # px: where the rise of noise and texture is told
 SAMPLE = 5  # px between the samples of a tile's row, in every other row
 TIMES_MEDIAN = 3.0
 LEAST_RISE, MOST_RISE = 8.0, 20.0  # grey levels: so much more light makes a seed, whatever the texture
-WHOLE = np.uint8(255)
+WHOLE, NO_RISE = np.uint8(255), np.int16(0)
 
 
 class Lifted(NamedTuple):
@@ -95,11 +95,11 @@ def _rise_of(lifted, tile, counts):
 
 
 @compiled
-def _keep_rise(smooth, opened, painted, rise, residue):
-    """Fill a stretch of a row of the residue with what rises by more than ``rise``."""
+def _keep_rise(smooth, opened, painted, bars, residue):
+    """Fill a row of the residue with what rises by more than ``bars`` above its surroundings where it is painted."""
     for x in range(residue.shape[0]):
-        low, high = min(np.int64(opened[x]) + rise, 255), np.int64(smooth[x])
-        residue[x] = painted[x] & np.uint8(max(high - low, 0))
+        rise = np.int16(np.int16(smooth[x]) - np.int16(opened[x]) - np.int16(bars[x]))
+        residue[x] = painted[x] & np.uint8(max(rise, NO_RISE))
 
 
 @compiled
@@ -107,16 +107,18 @@ def _lift_box(image, box, half, scratch):
     """Fill the residue in a box with what rises above its surroundings where it is painted."""
     smooth, opened = open_box(image, box, half, scratch.opening)
     lifted = Lifted(box, smooth, opened, scratch.painted)
-    counts = np.zeros(256, np.int32)
+    width, counts = box.x1 - box.x0, np.zeros(256, np.int32)
+    bars = np.empty(width, np.uint8)
     for y0 in range(box.y0, box.y1, TILE):
+        y1 = min(y0 + TILE, box.y1)
         for x0 in range(box.x0, box.x1, TILE):
-            x1, y1 = min(x0 + TILE, box.x1), min(y0 + TILE, box.y1)
-            rise = _rise_of(lifted, Box(x0, x1, y0, y1), counts)
-            first, last = x0 - box.x0, x1 - box.x0
-            for y in range(y0, y1):
-                k = y - box.y0
-                painted, residue = scratch.painted[y, x0:x1], scratch.residue[y, x0:x1]
-                _keep_rise(smooth[k, first:last], opened[k, first:last], painted, rise, residue)
+            x1 = min(x0 + TILE, box.x1)
+            bars[x0 - box.x0 : x1 - box.x0] = _rise_of(lifted, Box(x0, x1, y0, y1), counts)
+        # Whole rows at a time, for SIMD code.
+        for y in range(y0, y1):
+            k = y - box.y0
+            painted, residue = scratch.painted[y, box.x0 : box.x1], scratch.residue[y, box.x0 : box.x1]
+            _keep_rise(smooth[k, :width], opened[k, :width], painted, bars, residue)
 
 
 @compiled

@@ -41,31 +41,32 @@ def opening_room(height: int, width: int) -> OpeningRoom:
 
 
 @compiled
-def _smooth_row(above, row, below, sums, out):
-    """Fill ``out`` (n,) with ``row`` (at least n + 2,) and those beside it, smoothed by 1 2 1 along both axes."""
+def _add_rows(above, row, below, sums):
+    """Fill ``sums`` (n,) with 1 2 1 of three rows (n,)."""
     for x in range(sums.shape[0]):
         sums[x] = np.uint16(above[x]) + TWO16 * np.uint16(row[x]) + np.uint16(below[x])
+
+
+@compiled
+def _add_columns(sums, out):
+    """Fill ``out`` (n,) with a sixteenth of 1 2 1 along ``sums`` (at least n + 2,)."""
     for x in range(out.shape[0]):
         out[x] = np.uint16(sums[x] + TWO16 * sums[index(x + 1)] + sums[index(x + 2)] + EIGHT16) >> 4
 
 
 @compiled
-def _smooth(image, box, room, out):
+def _smooth(image, box, sums, out):
     """Fill ``out`` (rows, columns) with the smoothed pixels of a box; beyond the image's edge its outermost count."""
     height, width = image.shape
-    n = out.shape[1] + PART
     left, right = max(box.x0 - 1, 0), min(box.x1 + 1, width)
     start = left - (box.x0 - 1)
     end = start + right - left
+    sums[:] = 0
     for y in range(box.y0, box.y1):
-        for k in range(3):
-            line, source = room.lines[k, :n], image[min(max(y - 1 + k, 0), height - 1)]
-            line[0] = source[left]
-            for x in range(right - left):
-                line[index(start + x)] = source[index(left + x)]
-            for x in range(end, n):
-                line[x] = source[right - 1]
-        _smooth_row(room.lines[0], room.lines[1], room.lines[2], room.sums[:n], out[y - box.y0])
+        above, row, below = image[max(y - 1, 0)], image[y], image[min(y + 1, height - 1)]
+        _add_rows(above[left:right], row[left:right], below[left:right], sums[start:end])
+        sums[0], sums[end] = sums[start], sums[end - 1]
+        _add_columns(sums, out[y - box.y0])
 
 
 @compiled
@@ -164,7 +165,7 @@ def open_box(image, box, half, room):
     columns = -(-width // PART) * PART
     smooth = room.smooth[: height * columns].reshape(height, columns)
     rows = room.opened[: (height + 2 * half) * columns].reshape(height + 2 * half, columns)
-    _smooth(image, box, room, smooth)
+    _smooth(image, box, room.sums, smooth)
     _erode(smooth, width, half, room.lines, rows)
     _dilate(width, half, room.lines, rows)
     return smooth, rows[half : half + height]

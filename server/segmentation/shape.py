@@ -28,7 +28,9 @@ from asterism.server.segmentation.spot_table import (
     Y,
 )
 
-LARGEST_ASPECT = 2.6  # a disc seen at 65 degrees
+# A disc of radius a seen at 60 degrees, b = a / 2, moving by twice its width, 4 a, along its longer axis: the
+# streak's moments are those of an ellipse with a semi-axis of sqrt((4 a)^2 / 3 + a^2) = 2.52 a.
+LARGEST_ASPECT = 5.1
 PEAK_SHARE = 0.55  # a single pixel with more of a spot's light than this is a hot pixel: no lens is that sharp
 CLIP = (0.12, 0.7)  # the part of a spot's profile that its shape is taken from
 BLUR_PX2 = 0.92  # what blur (sigma 0.7 px) and pixels add to the second moments of the clipped profile, times four

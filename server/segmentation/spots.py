@@ -58,6 +58,8 @@ from asterism.server.segmentation.watershed import keep_group, most_regions, wat
 MARGIN_PX = 3  # of the window around a spot; the ring of its outermost pixels shows the background
 REGION_MARGIN_PX = 4  # the same around the upper part of a region of a split component
 UPPER_PART = 0.3  # of a region's height above its surroundings
+LIFTED_PART = 0.5  # the same in glare, where lower down there may be what is left of a lamp's top or of texture
+LIFTED_NOISE = 2.0  # grey levels: more than shot noise leaves in smoothed pixels, whatever texture is around
 SMALLEST_AREA_PX = 3
 
 
@@ -186,7 +188,6 @@ def measure_spots(image, seeds, components, background, limits, spots):
         plane, spot[NOISE] = ring_background(pixels, n, window, level, noise, faintest)
         if seeds.lifted:
             faintest = _faintest_lifted(limits, spot)
-            noise = spot[NOISE]
         _set_background(spot, plane)
         area, share = shape(pixels, n, window, spot)
         if spot[SHOULDER] == 0.0 and looks_single(component, spot, area) and not reaches_edge(box_of(component), image):
@@ -197,7 +198,10 @@ def measure_spots(image, seeds, components, background, limits, spots):
             labels = np.empty(cells, np.int32)
         if table.shape[0] < most_regions(window):
             table = np.empty((most_regions(window), 4))
-        n_regions = watershed(seeds, window, 0.0 if seeds.lifted else level, noise, labels, table)
+        if seeds.lifted:
+            n_regions = watershed(seeds, window, 0.0, LIFTED_NOISE, labels, table)
+        else:
+            n_regions = watershed(seeds, window, level, noise, labels, table)
         regions = Regions(labels[:cells], table[:n_regions])
         keep_group(regions.labels, regions.table, window, component)
         # The components that are still to come keep a row each.
@@ -222,7 +226,7 @@ def _region_boxes(seeds, regions, whole, boxes, cut):
     """
     labels, table, window = regions.labels, regions.table, _window_of(whole)
     width = window.x1 - window.x0
-    base = 0.0 if seeds.lifted else whole[LEVEL]
+    base, part = (0.0, LIFTED_PART) if seeds.lifted else (whole[LEVEL], UPPER_PART)
     boxes[:, 0], boxes[:, 1], boxes[:, 2], boxes[:, 3] = window.x1, window.x0, window.y1, window.y0
     cut[:] = False
     for y in range(window.y0, window.y1):
@@ -232,7 +236,7 @@ def _region_boxes(seeds, regions, whole, boxes, cut):
                 continue
             cut[region] |= reaches_edge(Box(x, x + 1, y, y + 1), seeds.image)
             foot = max(table[region, 1], base)
-            if seeds.image[y, x] > foot + UPPER_PART * (table[region, 0] - foot):
+            if seeds.image[y, x] > foot + part * (table[region, 0] - foot):
                 box = boxes[region]
                 box[0], box[1] = min(box[0], x), max(box[1], x + 1)
                 box[2], box[3] = min(box[2], y), max(box[3], y + 1)
