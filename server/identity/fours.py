@@ -18,7 +18,6 @@ from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan
 from asterism.server.identity.search import searched
 from asterism.server.pose.fit import CHI2, fit_labelled, fit_room, median_of
-from asterism.server.pose.sphere import distance
 
 LEAST = 11.0  # log odds against chance from which on a robot is claimed
 WORTH = 5.0  # from which on it counts as an explanation at all
@@ -28,6 +27,8 @@ WAYS = 360.0 * 0.15  # to name four spots; and how many of them a camera could s
 FOUR_SEEN = 0.05  # of the robots that are sought show four LEDs
 LEAST_CHANCE = 0.01  # groups of four strange lights are expected at least, whatever else is in the frame
 SIZE_SPREAD, KNOWN_SIZE_SPREAD = 0.15, 0.025  # of an LED's size, logarithm: by the rig; by robots in the same frame
+SIZES_AGREE = 0.1  # up to such a difference of that logarithm
+ODD_SIZE = -3.0  # log odds: what a size unlike those of the frame's other robots costs at most
 SEVERAL = 3  # fits that agree tell what is typical
 DOUBT = "four of its LEDs may be seen, but others or chance explain them nearly as well"
 
@@ -131,7 +132,12 @@ def _refitted(robot: int, labels: NDArray[np.int64], sigma_px: float, spots: Spo
     rotation, t = room.rotations[which], room.ts[which]
     height = median_of(spots.heights, labels)
     around, area = surroundings(
-        spots.flat, spots.heights, spots.free, labels, height, plan.extents[robot] * plan.focal / distance(t)
+        spots.flat,
+        spots.heights,
+        spots.free,
+        labels,
+        height,
+        plan.extents[robot] * plan.focal / float(np.linalg.norm(t)),
     )
     if around > 4:
         return []
@@ -143,8 +149,8 @@ def _refitted(robot: int, labels: NDArray[np.int64], sigma_px: float, spots: Spo
 
 def _size(spots: Spots, plan: Plan, robot: int, labels: NDArray[np.int64], rotation: Floats, t: Floats) -> float:
     """Logarithm of the spots' radii over those of the robot's LEDs at its pose; nan if the rig does not say theirs."""
-    facing = -float(rotation[:, 2] @ t) / distance(t)
-    expected = plan.led_radii[robot] * plan.focal / distance(t) * math.sqrt(max(facing, 1e-3))
+    facing = -float(rotation[:, 2] @ t) / float(np.linalg.norm(t))
+    expected = plan.led_radii[robot] * plan.focal / float(np.linalg.norm(t)) * math.sqrt(max(facing, 1e-3))
     return float(np.log(median_of(spots.radii, labels) / expected))
 
 
@@ -160,14 +166,20 @@ def _odds(four: _Four, sigma_px: float, size: tuple[float, float], plan: Plan, r
     if math.isfinite(four.size):
         typical, spread = size
         off = (four.size - typical) / spread
-        value += _of_its_size(plan, spread) - 0.5 * off * off
+        # What only the rig says of an LED's size may be wrong, and then says nothing.
+        least = ODD_SIZE if spread == KNOWN_SIZE_SPREAD else 0.0
+        value += max(_of_its_size(plan, spread) - 0.5 * off * off, least)
     return value
 
 
 def _typical_size(sizes: list[float]) -> tuple[float, float]:
     """What `_size` should be and how far off, by those of other robots, of which nan tell nothing."""
-    told = [size for size in sizes if math.isfinite(size)]
-    return (float(np.median(told)), KNOWN_SIZE_SPREAD) if len(told) > 1 else (0.0, SIZE_SPREAD)
+    told = np.array([size for size in sizes if math.isfinite(size)])
+    if len(told) > 1:
+        typical = float(np.median(told))
+        if float(np.median(np.abs(told - typical))) < SIZES_AGREE:
+            return typical, KNOWN_SIZE_SPREAD
+    return 0.0, SIZE_SPREAD
 
 
 def _best_of_each(candidates: list[_Four], odds: list[float]) -> list[tuple[_Four, float]]:

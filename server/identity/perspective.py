@@ -29,9 +29,9 @@ A1, A2, SIGMA, TAU, SUMS = 4, 8, 18, 19, 20
 
 STEPS = 3
 SETTLED = 14.0  # squared sigmas: four numbers, 99.3 % of chi squared
-# What the start leaves of r and what its first step does, over the square of the four's size: of 98 in 100 quads that
-# are as wide as half their distance, tilted by up to 72 degrees.
-START, FIRST = 0.6, 0.12
+# What the start leaves of r, over sin(tilt) and the square of the four's size, and what its first step promises: of
+# nine in ten quads of plates that are as wide as half their distance. Five LEDs make five quads, six fifteen.
+START, FIRST = 0.45, 0.08
 
 
 class View(NamedTuple):

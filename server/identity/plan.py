@@ -23,6 +23,7 @@ LARGEST_SPOT = 0.02  # of the image's diagonal, where the rig does not say how l
 NEARER = 0.8  # than `near`, times: robots are looked for from there on
 WIDEST = 0.75  # extent over distance
 LED_MARGIN = 1.6  # an LED's spot may be this much larger than its disc, and two pixels
+MISTOLD = 4.0  # LEDs may be larger than the rig says by this, as far as LARGEST_SPOT allows
 
 
 class Plan:
@@ -48,11 +49,10 @@ class Plan:
         self.masks: Ints = np.array(rig.masks, np.int64).reshape(-1, 4)
         # nan where the rig does not say how large the LEDs are
         self.led_radii = np.array([robot.led_radius or math.nan for robot in rig.robots])
-        largest = float(self.led_radii.max())
+        self.largest_radius_px = LARGEST_SPOT * math.hypot(camera.width, camera.height)
+        largest = LED_MARGIN * float(self.led_radii.max()) * self.focal / self.near
         if math.isfinite(largest) and rig.range_m is not None:
-            self.largest_radius_px = LED_MARGIN * largest * self.focal / self.near + 2.0
-        else:
-            self.largest_radius_px = LARGEST_SPOT * math.hypot(camera.width, camera.height)
+            self.largest_radius_px = max(largest + 2.0, min(MISTOLD * largest + 2.0, self.largest_radius_px))
         line_s = 1e-6 * rig.capture.line_time_us
         self.shutter = Shutter(line_s, 0.5 * (camera.height - 1)) if line_s > 0.0 else None
         self._scratch: deque[Scratch] = deque()

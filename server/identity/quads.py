@@ -20,7 +20,7 @@ from asterism.server.compiled import compiled
 from asterism.server.identity.perspective import MIDDLE, NUMBERS, POINTS, SUMS, explains, numbers_of
 
 CELLS = 40  # along each invariant
-SLACK = 0.01  # what noise may move an invariant, beside perspective
+SLACKS = (0.01, 0.03)  # what noise may move an invariant, beside perspective: in one table, and in a looser one
 LAYERS = (0.15, 0.3, 1.0)  # tables for plates whose depth changes so much, of itself, from LED to LED at most
 LEAST_WEIGHT = 0.2  # no LED is nearer than this share of the four's mean depth
 MOST_MATCHES = 64  # of four spots
@@ -86,8 +86,8 @@ def invariants(points, order, values):
 
 
 class QuadTable(NamedTuple):
-    """Entries (robot, four LEDs) and which of them each cell holds: for each of the LAYERS first the convex ones, then
-    the concave ones.
+    """Entries (robot, four LEDs) and which of them each cell holds: for each of the SLACKS and LAYERS first the convex
+    ones, then the concave ones.
 
     ``entries`` (n, 5), their ``numbers`` (n, NUMBERS), where the list of every cell ``starts`` (cells + 1,), and the
     lists that are ``held``.
@@ -119,16 +119,13 @@ class QuadTable(NamedTuple):
                     numbers.append(numbers_of(layout[turned], s, t))
         named = np.array(entries, np.int32).reshape(-1, 5)
         told = np.array(numbers).reshape(-1, NUMBERS)
-        pairs = [np.empty((0, 2), np.int64)]
-        for robot, most in enumerate(steepest):
-            own = np.flatnonzero(named[:, 0] == robot)
-            for layer, change in enumerate(LAYERS):
-                cells, rows = _cells(np.array(kinds)[own], told[own], float(most), change)
-                pairs.append(np.column_stack([layer * 2 * CELLS * CELLS + cells, own[rows]]))
-        cells, held = np.concatenate(pairs).T
+        tables = itertools.product(SLACKS, LAYERS)
+        pairs = [_cells(np.array(kinds), told, steepest[named[:, 0]], change, slack) for slack, change in tables]
+        cells = np.concatenate([2 * CELLS * CELLS * table + cells for table, (cells, _) in enumerate(pairs)])
         by_cell = np.argsort(cells, kind="stable")
-        starts = np.searchsorted(cells[by_cell], np.arange(len(LAYERS) * 2 * CELLS * CELLS + 1)).astype(np.int32)
-        return QuadTable(named, told, starts, held[by_cell].astype(np.int32))
+        starts = np.searchsorted(cells[by_cell], np.arange(len(pairs) * 2 * CELLS * CELLS + 1)).astype(np.int32)
+        held = np.concatenate([rows for _, rows in pairs])[by_cell].astype(np.int32)
+        return QuadTable(named, told, starts, held)
 
 
 class LookedUp(NamedTuple):
@@ -154,18 +151,19 @@ def room_to_look_up():
 
 @compiled
 def _layer(four, view):
-    """Which of the LAYERS holds a plate seen as the four: along a line seen as long as a, rad, the depth changes
-    by a tan(tilt) at most.
+    """Which of the SLACKS and LAYERS holds a plate seen as the four: along a line seen as long as a, rad, the depth
+    changes by a tan(tilt) at most, and what spots are off moves an invariant by about that over a.
     """
     far2 = 0.0
     for i in range(4):
         for j in range(i):
             far2 = max(far2, (four[i, 0] - four[j, 0]) ** 2 + (four[i, 1] - four[j, 1]) ** 2)
+    first = len(LAYERS) if 4.0 * view.sigma**2 > SLACKS[0] ** 2 * far2 else 0
     far2 *= 1.0 / view.most_tilt**2 - 1.0
     layer = 0
     while layer < len(LAYERS) - 1 and far2 > LAYERS[layer] ** 2:
         layer += 1
-    return layer
+    return first + layer
 
 
 @compiled
@@ -204,9 +202,12 @@ def _turns(kind: int, ring: list[int], s: float, t: float) -> Iterator[tuple[lis
             hull, weights = hull[1:] + hull[:1], weights[1:] + weights[:1]
 
 
-def _cells(kinds: NDArray[np.int64], numbers: Floats, steepest: float, change: float) -> tuple[Any, Any]:
-    """Cells (m,) and which of a robot's entries they hold (m,): every entry wherever perspective may move it if the
-    depth changes by no more than ``change`` of itself from LED to LED.
+def _cells(
+    kinds: NDArray[np.int64], numbers: Floats, steepest: Floats, change: float, slack: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Cells (m,) and which entries they hold (m,): each wherever perspective may move it, and noise by ``slack``.
+
+    Depth changes by no more than ``steepest`` (n,), 1 / m, of itself, and by ``change`` of itself from LED to LED.
 
     In perspective a point's weight in a sum is multiplied by its relative depth w = 1 + g X. So a crossing fraction s
     of the diagonal from a to c becomes s w(c) / ((1 - s) w(a) + s w(c)), and the barycentric coordinate s of a corner a
@@ -214,9 +215,10 @@ def _cells(kinds: NDArray[np.int64], numbers: Floats, steepest: float, change: f
     """
     s, t, points = numbers[:, 0], numbers[:, 1], numbers[:, POINTS:MIDDLE].reshape(-1, 4, 2)
     across = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1).max(axis=(1, 2))
-    reach = np.minimum(np.minimum(steepest, change / across), (1.0 - LEAST_WEIGHT) / across)
-    steps = math.ceil(0.25 * float((reach * across).max()) / (2.0 * SLACK))
-    found = []
+    reach = np.minimum(steepest, min(change, 1.0 - LEAST_WEIGHT) / across)
+    steps = math.ceil(0.25 * float((reach * across).max()) / (2.0 * slack))
+    offsets = np.linspace(-slack, slack, math.ceil(2.0 * slack * CELLS) + 1)
+    entry, touched = np.arange(len(kinds))[:, None, None], np.zeros((len(kinds), CELLS, CELLS), np.bool_)
     for step in range(steps + 1):
         for angle in np.linspace(0.0, 2.0 * math.pi, max(6 * step, 1), endpoint=False):
             g = (reach * step / steps)[:, None] * [math.cos(angle), math.sin(angle)]
@@ -224,10 +226,10 @@ def _cells(kinds: NDArray[np.int64], numbers: Floats, steepest: float, change: f
             crossing = (1.0 - s) * w[:, 0] + s * w[:, 2]
             moved_s = s * np.where(kinds == 0, w[:, 2] / crossing, w[:, 0] / w[:, 3])
             moved_t = t * np.where(kinds == 0, w[:, 3] / crossing, w[:, 1] / w[:, 3])
-            for i, j in itertools.product((-SLACK, SLACK), repeat=2):
-                found.append((kinds * CELLS + _cell(moved_s + i)) * CELLS + _cell(moved_t + j))
-    pairs = np.unique(np.array(found) * len(kinds) + np.arange(len(kinds)))
-    return pairs // len(kinds), pairs % len(kinds)
+            rows, columns = _cell(moved_s[:, None] + offsets), _cell(moved_t[:, None] + offsets)
+            touched[entry, rows[:, :, None], columns[:, None, :]] = True
+    held, row, column = touched.nonzero()
+    return (kinds[held] * CELLS + row) * CELLS + column, held
 
 
 def _cell(values: Floats) -> NDArray[np.int64]:
