@@ -115,7 +115,7 @@ def _scale(spots, covariances, gain):
 @compiled
 def _refine_edge_model(image, spots, centres, covariances):
     order, widest, largest, gain = _survey(spots, centres, covariances)
-    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(10)
+    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(6), np.zeros(10)
     room = edge_room(largest)
     for place in range(order.shape[0]):
         k = order[place]
@@ -129,7 +129,7 @@ def _refine_edge_model(image, spots, centres, covariances):
 @compiled
 def _refine_grey_square(image, spots, centres, covariances):
     order, widest, _, gain = _survey(spots, centres, covariances)
-    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(10)
+    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(6), np.zeros(10)
     for place in range(order.shape[0]):
         k = order[place]
         if spots[k, FATE] == UNEXPLAINED:
@@ -142,7 +142,7 @@ def _refine_grey_square(image, spots, centres, covariances):
 @compiled
 def _refine_clip(image, spots, centres, covariances):
     order, widest, largest, gain = _survey(spots, centres, covariances)
-    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(10)
+    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(6), np.zeros(10)
     pixels = room_for(largest)
     for place in range(order.shape[0]):
         k = order[place]
@@ -156,7 +156,7 @@ def _refine_clip(image, spots, centres, covariances):
 @compiled
 def _refine_zernike(image, spots, centres, covariances):
     order, widest, _, gain = _survey(spots, centres, covariances)
-    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(4), np.zeros(10)
+    neighbours, other, out = np.empty((MOST_NEIGHBOURS, 3)), np.empty(6), np.zeros(10)
     for place in range(order.shape[0]):
         k = order[place]
         if spots[k, FATE] == UNEXPLAINED:

@@ -1,20 +1,42 @@
 """Centre of a spot that other light leans on (a dim mirror image in a polished floor, a lamp's halo): both are fitted.
 
-Model: the blurred ellipse of `edge_model`, its angle fixed, beside a round Gaussian of light, on the spot's background
-plane; nine parameters by Levenberg-Marquardt, every pixel weighted with its own variance. The covariance is the
-centre's block of the inverse normal matrix, so it owns up to what the second light leaves undetermined.
+Model: `two_lights`, by Levenberg-Marquardt, every pixel weighted with its own variance; what the pixels may not tell
+(shape, blurs, the plane) has soft expectations. The covariance is the centre's block of the inverse normal matrix, so
+it owns up to what the second light leaves undetermined.
 """
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from asterism.server.centres.blurred_ellipse import REACH, distance_to_ellipse, gauss, normal
-from asterism.server.centres.edge_sums import SATURATED
+from asterism.server.centres.two_lights import (
+    A1,
+    A2,
+    B1,
+    B2,
+    BASE,
+    BLUR1,
+    BLUR2,
+    PARAMETERS,
+    RISE1,
+    RISE2,
+    ROWS,
+    SLOPE_U,
+    SLOPE_V,
+    TURN1,
+    TURN2,
+    X1,
+    X2,
+    Y1,
+    Y2,
+    add_up,
+    look,
+)
 from asterism.server.centres.window import leave_out
-from asterism.server.compiled import compiled, compiled_sums
+from asterism.server.compiled import compiled
 from asterism.server.pose.planar import cholesky_solve
-from asterism.server.segmentation.pixels import LANES, Box, cells_of, gather_box, pad, room_for
+from asterism.server.segmentation.pixels import Box, cells_of, gather_box, pad, room_for
 from asterism.server.segmentation.spot_table import (
     ANGLE,
     HEIGHT,
@@ -32,164 +54,55 @@ from asterism.server.segmentation.spot_table import (
     Y,
 )
 
-# Parameters: the ellipse's centre, rise and semi-axes; the other light's centre, height and width (sigma).
-PX, PY, RISE, A, B, QX, QY, LIGHT, WIDTH = range(9)
-PARAMETERS = 9
-ITERATIONS = 12
+ITERATIONS = 25
+# Soft expectations, one sigma: of semi-axes and those of the other light (shares), angles (rad); of blurs (px), and of
+# the plane (grey levels, and per px).
+SIZE_SIGMA, OTHER_SIZE_SIGMA, TURN_SIGMA, BLUR_SIGMA, HAZE_SIGMA, BASE_SIGMA, SLOPE_SIGMA = (
+    0.3,
+    0.4,
+    0.4,
+    0.15,
+    1.0,
+    2.0,
+    0.3,
+)
+TOO_LARGE_PX, LEAST_SIZE = 0.28, 0.6  # moments find semi-axes too large
+FARTHEST_PX = 2.0  # the centre may be moved so far, and a semi-axis
+DIMMEST, BRIGHTEST = 0.2, 2.0  # of the spot's height, its rise; of that, the other light
+LEAST_PX, LARGEST = 0.4, 4.0  # semi-axes, px; of the spot's
+ALIKE = 0.75  # times the brighter light, one that is as bright as this may be the LED as well
 NEIGHBOUR_MARGIN_PX = 1.0
 # Beyond these the model does not hold: misfit, of the spot's height, RMS; chi squared per degree of freedom.
 WORST_MISFIT, WORST_SCALE = 0.08, 4.0
-PATIENCE, HOPELESS = 4, 4.0  # iterations after which a fit that is so many times too bad is given up
+PATIENCE, HOPELESS = 8, 4.0  # iterations after which a fit that is so many times too bad is given up
 LEAST_LIGHT = 5.0  # sigmas: a second light dimmer than that may not be there
 
 
-@compiled_sums
-def _add_up(pixels, count, spot, blur, gain, p, n, r):
-    """Fill the lower triangle of the normal matrix ``n`` (9, 9) and ``r`` (9,) of the model with parameters ``p`` (9,).
-
-    ``pixels`` are ``count`` from `_gather`. Returns chi squared, the squared residuals without weights, and the number
-    of pixels that count.
+class LeaningRoom(NamedTuple):
+    """Work arrays of one fit: ``table`` of the pixels; parameters ``p`` with the ``expected`` ones and the information
+    on them ``known``; normal matrices and right sides.
     """
-    xs, ys, values, counts = pixels[0], pixels[1], pixels[2], pixels[3]
-    level, slope_x, slope_y = spot[LEVEL], spot[SLOPE_X], spot[SLOPE_Y]
-    middle_x, middle_y = 0.5 * (spot[WX0] + spot[WX1] - 1.0), 0.5 * (spot[WY0] + spot[WY1] - 1.0)
-    px, py, rise, qx, qy, light = (
-        p[PX] - middle_x,
-        p[PY] - middle_y,
-        p[RISE],
-        p[QX] - middle_x,
-        p[QY] - middle_y,
-        p[LIGHT],
-    )
-    cos, sin = math.cos(spot[ANGLE]), math.sin(spot[ANGLE])
-    per_a, per_b, per_blur, per_w = 1.0 / p[A], 1.0 / p[B], 1.0 / blur, 1.0 / p[WIDTH]
-    per_a2, per_b2, per_w2 = per_a * per_a, per_b * per_b, per_w * per_w
-    floor = spot[NOISE] * spot[NOISE] + 0.02
-    n_xx = n_yx = n_yy = n_rx = n_ry = n_rr = n_ax = n_ay = n_ar = n_aa = n_bx = n_by = n_br = n_ba = n_bb = 0.0
-    n_ux = n_uy = n_ur = n_ua = n_ub = n_uu = n_vx = n_vy = n_vr = n_va = n_vb = n_vu = n_vv = n_lx = n_ly = 0.0
-    n_lr = n_la = n_lb = n_lu = n_lv = n_ll = n_wx = n_wy = n_wr = n_wa = n_wb = n_wu = n_wv = n_wl = n_ww = 0.0
-    r_x = r_y = r_r = r_a = r_b = r_u = r_v = r_l = r_w = 0.0
-    chi2 = plain = number = 0.0
-    for i in range(count // LANES * LANES):
-        x, y = float(xs[i]), float(ys[i])
-        dx, dy = x - px, y - py
-        u, v, s, t, distance, outward, bend = distance_to_ellipse(dx, dy, cos, sin, per_a2, per_b2)
-        off = min(max(distance * per_blur, -REACH), REACH)
-        step, bell = normal(off)
-        ex, ey = x - qx, y - qy
-        away2 = (ex * ex + ey * ey) * per_w2
-        glow = gauss(min(away2, REACH * REACH))
-        lit = rise * step + light * glow
-        told = level + slope_x * x + slope_y * y + lit
-        value = float(values[i])
-        residual = value - told
-        counted = 0.0 if value >= SATURATED and told >= SATURATED else float(counts[i])
-        w = counted / (floor + gain * max(lit, 0.0))
-        chi2 += w * residual * residual
-        plain += counted * residual * residual
-        number += counted
-        du, dv = s * (outward - bend * per_a2), t * (outward - bend * per_b2)
-        steep = rise * bell * per_blur
-        g_x, g_y = steep * (dv * sin - du * cos), -steep * (du * sin + dv * cos)
-        g_r = step
-        g_a = steep * s * (2.0 * bend * s - outward * u) * per_a
-        g_b = steep * t * (2.0 * bend * t - outward * v) * per_b
-        shine = light * glow
-        g_u, g_v = shine * ex * per_w2, shine * ey * per_w2
-        g_l, g_w = glow, shine * away2 * per_w
-        weighted = w * g_x
-        r_x += weighted * residual
-        n_xx += weighted * g_x
-        weighted = w * g_y
-        r_y += weighted * residual
-        n_yx += weighted * g_x
-        n_yy += weighted * g_y
-        weighted = w * g_r
-        r_r += weighted * residual
-        n_rx += weighted * g_x
-        n_ry += weighted * g_y
-        n_rr += weighted * g_r
-        weighted = w * g_a
-        r_a += weighted * residual
-        n_ax += weighted * g_x
-        n_ay += weighted * g_y
-        n_ar += weighted * g_r
-        n_aa += weighted * g_a
-        weighted = w * g_b
-        r_b += weighted * residual
-        n_bx += weighted * g_x
-        n_by += weighted * g_y
-        n_br += weighted * g_r
-        n_ba += weighted * g_a
-        n_bb += weighted * g_b
-        weighted = w * g_u
-        r_u += weighted * residual
-        n_ux += weighted * g_x
-        n_uy += weighted * g_y
-        n_ur += weighted * g_r
-        n_ua += weighted * g_a
-        n_ub += weighted * g_b
-        n_uu += weighted * g_u
-        weighted = w * g_v
-        r_v += weighted * residual
-        n_vx += weighted * g_x
-        n_vy += weighted * g_y
-        n_vr += weighted * g_r
-        n_va += weighted * g_a
-        n_vb += weighted * g_b
-        n_vu += weighted * g_u
-        n_vv += weighted * g_v
-        weighted = w * g_l
-        r_l += weighted * residual
-        n_lx += weighted * g_x
-        n_ly += weighted * g_y
-        n_lr += weighted * g_r
-        n_la += weighted * g_a
-        n_lb += weighted * g_b
-        n_lu += weighted * g_u
-        n_lv += weighted * g_v
-        n_ll += weighted * g_l
-        weighted = w * g_w
-        r_w += weighted * residual
-        n_wx += weighted * g_x
-        n_wy += weighted * g_y
-        n_wr += weighted * g_r
-        n_wa += weighted * g_a
-        n_wb += weighted * g_b
-        n_wu += weighted * g_u
-        n_wv += weighted * g_v
-        n_wl += weighted * g_l
-        n_ww += weighted * g_w
-    n[0, 0] = n_xx
-    n[1, 0], n[1, 1] = n_yx, n_yy
-    n[2, 0], n[2, 1], n[2, 2] = n_rx, n_ry, n_rr
-    n[3, 0], n[3, 1], n[3, 2], n[3, 3] = n_ax, n_ay, n_ar, n_aa
-    n[4, 0], n[4, 1], n[4, 2], n[4, 3], n[4, 4] = n_bx, n_by, n_br, n_ba, n_bb
-    n[5, 0], n[5, 1], n[5, 2], n[5, 3], n[5, 4], n[5, 5] = n_ux, n_uy, n_ur, n_ua, n_ub, n_uu
-    n[6, 0], n[6, 1], n[6, 2], n[6, 3], n[6, 4], n[6, 5], n[6, 6] = n_vx, n_vy, n_vr, n_va, n_vb, n_vu, n_vv
-    n[7, 0], n[7, 1], n[7, 2], n[7, 3], n[7, 4], n[7, 5], n[7, 6], n[7, 7] = (
-        n_lx,
-        n_ly,
-        n_lr,
-        n_la,
-        n_lb,
-        n_lu,
-        n_lv,
-        n_ll,
-    )
-    n[8, 0], n[8, 1], n[8, 2], n[8, 3], n[8, 4], n[8, 5], n[8, 6], n[8, 7], n[8, 8] = (
-        n_wx,
-        n_wy,
-        n_wr,
-        n_wa,
-        n_wb,
-        n_wu,
-        n_wv,
-        n_wl,
-        n_ww,
-    )
-    r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8] = r_x, r_y, r_r, r_a, r_b, r_u, r_v, r_l, r_w
-    return chi2, plain, number
+
+    table: Any
+    p: Any
+    expected: Any
+    known: Any
+    n: Any
+    r: Any
+    work: Any
+    move: Any
+    trial: Any
+    trial_n: Any
+    trial_r: Any
+
+
+@compiled
+def _room(cells):
+    k = PARAMETERS
+    table = np.empty((ROWS, cells), np.float32)
+    p, expected, known, r, move, trial = np.empty(k), np.empty(k), np.empty(k), np.empty(k), np.empty(k), np.empty(k)
+    n, work, trial_n, trial_r = np.empty((k, k)), np.empty((k, k)), np.empty((k, k)), np.empty(k)
+    return LeaningRoom(table, p, expected, known, n, r, work, move, trial, trial_n, trial_r)
 
 
 @compiled
@@ -230,38 +143,83 @@ def _light_beside(image, spot, neighbours, box):
 
 
 @compiled
-def fit_leaning(image, spot, other, neighbours, blur, gain, out):
-    """Fit a spot and the light beside it; arguments and ``out`` as in `edge_model.fit_edge_model`.
+def _real(semi):
+    """A semi-axis, px, from that of the moments, which find it too large."""
+    return max(semi - TOO_LARGE_PX, LEAST_SIZE * semi)
 
-    ``other`` (4,) is the spot that was split from this one: x, y, height, radius; its height is 0 where there is
-    none, and the light is looked for. ``out`` ends with chi squared per degree of freedom, at least 1. Returns False,
-    with ``out`` untouched, where the two do not explain the pixels or the light may not be there.
+
+@compiled
+def _start(spot, other, blur, room):
+    """Fill the parameters that the fit starts from, what is expected of them, and how well that is known."""
+    p, expected, known = room.p, room.expected, room.known
+    middle_x, middle_y = 0.5 * (spot[WX0] + spot[WX1] - 1.0), 0.5 * (spot[WY0] + spot[WY1] - 1.0)
+    p[X1], p[Y1], p[X2], p[Y2] = spot[X] - middle_x, spot[Y] - middle_y, other[0] - middle_x, other[1] - middle_y
+    p[RISE1], p[RISE2] = spot[HEIGHT], min(other[2], BRIGHTEST * spot[HEIGHT])
+    p[A1], p[B1], p[TURN1], p[BLUR1] = _real(spot[SEMI_A]), _real(spot[SEMI_B]), spot[ANGLE], blur
+    p[A2], p[B2], p[TURN2], p[BLUR2] = _real(other[3]), _real(other[4]), other[5], 1.2 * blur
+    p[BASE], p[SLOPE_U], p[SLOPE_V] = spot[LEVEL], spot[SLOPE_X], spot[SLOPE_Y]
+    expected[:] = p
+    known[:] = 0.0
+    known[A1], known[B1] = 1.0 / (SIZE_SIGMA * p[A1]) ** 2, 1.0 / (SIZE_SIGMA * p[B1]) ** 2
+    known[TURN1], known[BLUR1] = 1.0 / TURN_SIGMA**2, 1.0 / BLUR_SIGMA**2
+    known[A2], known[B2] = 1.0 / (OTHER_SIZE_SIGMA * p[A2]) ** 2, 1.0 / (OTHER_SIZE_SIGMA * p[B2]) ** 2
+    known[TURN2], known[BLUR2] = 1.0 / TURN_SIGMA**2, 1.0 / HAZE_SIGMA**2
+    known[BASE] = 1.0 / BASE_SIGMA**2
+    known[SLOPE_U] = known[SLOPE_V] = 1.0 / SLOPE_SIGMA**2
+
+
+@compiled
+def _start_within(spot, blur, room):
+    """As `_start`, with both lights within the spot, at the ends of its long axis."""
+    p = room.p
+    other = np.empty(6)
+    other[0], other[1], other[2] = spot[X], spot[Y], 0.6 * spot[HEIGHT]
+    other[3], other[4], other[5] = spot[SEMI_B], spot[SEMI_B], spot[ANGLE]
+    _start(spot, other, blur, room)
+    apart = max(spot[SEMI_A] - spot[SEMI_B], 0.2 * spot[SEMI_A])
+    along_x, along_y = apart * math.cos(spot[ANGLE]), apart * math.sin(spot[ANGLE])
+    p[X1], p[Y1], p[A1] = p[X1] + along_x, p[Y1] + along_y, p[B1]
+    p[X2], p[Y2] = p[X2] - along_x, p[Y2] - along_y
+    p[RISE1] *= 0.8
+    room.expected[:] = p
+
+
+@compiled
+def _measure(pixels, count, p, spot, gain, room, n, r):
+    """Normal matrix and right side, expectations included, at ``p``; chi squared with and without these, the squared
+    residuals, and the number of pixels that count.
     """
-    height, width = image.shape
-    # The other light reaches beyond the spot's own window.
-    wider = 2 if other[2] == 0.0 else 6
-    x0, x1 = max(int(spot[WX0]) - wider, 0), min(int(spot[WX1]) + wider, width)
-    y0, y1 = max(int(spot[WY0]) - wider, 0), min(int(spot[WY1]) + wider, height)
-    box = Box(x0, x1, y0, y1)
-    p = np.empty(PARAMETERS)
-    p[PX], p[PY], p[RISE] = spot[X], spot[Y], spot[HEIGHT]
-    p[A], p[B] = spot[SEMI_A], spot[SEMI_B]
-    if other[2] > 0.0:
-        p[QX], p[QY], p[LIGHT], p[WIDTH] = other[0], other[1], other[2], max(0.7 * other[3], 1.0)
-    else:
-        p[QX], p[QY], p[LIGHT] = _light_beside(image, spot, neighbours, box)
-        p[WIDTH] = 2.0
-        if p[LIGHT] == 0.0:
-            return False
-    pixels, count = _gather(image, spot, neighbours, box)
-    n, r = np.empty((PARAMETERS, PARAMETERS)), np.empty(PARAMETERS)
-    trial_n, trial_r = np.empty((PARAMETERS, PARAMETERS)), np.empty(PARAMETERS)
-    work, move, trial = np.empty((PARAMETERS, PARAMETERS)), np.empty(PARAMETERS), np.empty(PARAMETERS)
-    chi2, plain, number = _add_up(pixels, count, spot, blur, gain, p, n, r)
+    look(pixels, count, p, spot[NOISE] * spot[NOISE] + 0.02, gain, room.table)
+    chi2, plain, number = add_up(room.table, count, n, r)
+    whole = chi2
+    for j in range(PARAMETERS):
+        off = p[j] - room.expected[j]
+        whole += room.known[j] * off * off
+        n[j, j] += room.known[j]
+        r[j] -= room.known[j] * off
+    return whole, chi2, plain, number
+
+
+@compiled
+def _is_allowed(trial, spot, expected):
+    """Clamp what cannot be otherwise; whether the centre stays near where it is ``expected``."""
+    for semi in (A1, B1, A2, B2):
+        trial[semi] = min(max(trial[semi], LEAST_PX), LARGEST * spot[SEMI_A])
+    trial[BLUR1], trial[BLUR2] = min(max(trial[BLUR1], 0.45), 1.8), min(max(trial[BLUR2], 0.45), 6.0)
+    trial[RISE1] = max(trial[RISE1], DIMMEST * spot[HEIGHT])
+    trial[RISE2] = min(max(trial[RISE2], 0.0), BRIGHTEST * trial[RISE1])
+    return math.hypot(trial[X1] - expected[X1], trial[Y1] - expected[Y1]) < FARTHEST_PX + 0.5 * spot[SEMI_A]
+
+
+@compiled
+def _descend(pixels, count, spot, gain, room):
+    """Fit both lights from where `_start` left them; chi squared, squared residuals, and how many pixels count."""
+    p, n, r, work, move, trial = room.p, room.n, room.r, room.work, room.move, room.trial
+    whole, chi2, plain, number = _measure(pixels, count, p, spot, gain, room, n, r)
     damping = 1e-2
     for iteration in range(ITERATIONS):
         if iteration >= PATIENCE and chi2 > HOPELESS * WORST_SCALE * (number - PARAMETERS):
-            return False
+            break
         work[:, :] = n
         move[:] = r
         for j in range(PARAMETERS):
@@ -271,47 +229,83 @@ def fit_leaning(image, spot, other, neighbours, blur, gain, out):
             damping *= 10.0
             continue
         trial[:] = p + move
-        trial[A], trial[B] = max(trial[A], 0.4), max(trial[B], 0.4)
-        trial[WIDTH] = min(max(trial[WIDTH], 0.8), 8.0)
-        trial[LIGHT] = min(max(trial[LIGHT], 0.0), p[RISE])
-        if math.hypot(trial[PX] - spot[X], trial[PY] - spot[Y]) > 2.0:
-            damping = damping * 10.0
+        if not _is_allowed(trial, spot, room.expected):
+            damping *= 10.0
             continue
-        trial_chi2, trial_plain, trial_number = _add_up(pixels, count, spot, blur, gain, trial, trial_n, trial_r)
-        if trial_chi2 < chi2:
-            gained = chi2 - trial_chi2
-            p[:], n[:, :], r[:] = trial, trial_n, trial_r
-            chi2, plain, number = trial_chi2, trial_plain, trial_number
+        found = _measure(pixels, count, trial, spot, gain, room, room.trial_n, room.trial_r)
+        if found[0] < whole:
+            gained = whole - found[0]
+            p[:], n[:, :], r[:] = trial, room.trial_n, room.trial_r
+            whole, chi2, plain, number = found
             damping *= 0.2
-            if gained < 1e-3 * chi2:
+            if gained < 1e-3 * whole:
                 break
         else:
-            damping = damping * 6.0
+            damping *= 6.0
+    return chi2, plain, number
+
+
+@compiled
+def _take(spot, chi2, plain, number, first, room, out):
+    """Write into ``out`` the centre of the light whose parameters begin at ``first``; whether the fit is any good."""
+    p, work, move = room.p, room.work, room.move
     dof = number - PARAMETERS
     if dof < 10 or math.sqrt(plain / number) > WORST_MISFIT * spot[HEIGHT]:
         return False
     scale = max(chi2 / dof, 1.0)
     if scale > WORST_SCALE:
         return False
-    work[:, :] = n
-    for j in range(PARAMETERS):
-        work[j, j] += 1e-9
+    other = RISE2 if first == X1 else RISE1
+    work[:, :] = room.n
     move[:] = 0.0
-    move[LIGHT] = 1.0
-    if not cholesky_solve(work, move) or p[LIGHT] ** 2 < LEAST_LIGHT**2 * scale * move[LIGHT]:
+    move[other] = 1.0
+    if not cholesky_solve(work, move) or p[other] ** 2 < LEAST_LIGHT**2 * scale * move[other]:
         return False
     for axis in range(2):
-        work[:, :] = n
-        for j in range(PARAMETERS):
-            work[j, j] += 1e-9
+        work[:, :] = room.n
         move[:] = 0.0
-        move[axis] = 1.0
+        move[first + axis] = 1.0
         if not cholesky_solve(work, move):
             return False
-        if axis == 0:
-            out[2], out[3] = scale * move[0], scale * move[1]
-        else:
-            out[4] = scale * move[1]
-    out[0], out[1] = p[PX], p[PY]
+        out[2 + axis], out[3 + axis] = scale * move[first], scale * move[first + 1]
+    out[0] = p[first] + 0.5 * (spot[WX0] + spot[WX1] - 1.0)
+    out[1] = p[first + 1] + 0.5 * (spot[WY0] + spot[WY1] - 1.0)
     out[5] = scale
     return True
+
+
+@compiled
+def fit_leaning(image, spot, other, neighbours, blur, gain, out):
+    """Fit a spot and the light beside it; arguments and ``out`` as in `edge_model.fit_edge_model`.
+
+    ``other`` (6,) is the spot that was split from this one: x, y, height, semi-axes, angle; its height is 0 where there
+    is none, and the light is looked for: beside the spot, then within it. ``out`` ends with chi squared per degree of
+    freedom, at least 1. Returns False where the two do not explain the pixels or the light may not be there.
+    """
+    height, width = image.shape
+    # The other light reaches beyond the spot's own window.
+    wider = 2 if other[2] == 0.0 else 6
+    x0, x1 = max(int(spot[WX0]) - wider, 0), min(int(spot[WX1]) + wider, width)
+    y0, y1 = max(int(spot[WY0]) - wider, 0), min(int(spot[WY1]) + wider, height)
+    box = Box(x0, x1, y0, y1)
+    pixels, count = _gather(image, spot, neighbours, box)
+    room = _room(pixels.shape[1])
+    is_split = other[2] > 0.0
+    if not is_split:
+        other[0], other[1], other[2] = _light_beside(image, spot, neighbours, box)
+        other[3], other[4], other[5] = spot[SEMI_A], spot[SEMI_B], spot[ANGLE]
+    if other[2] > 0.0:
+        _start(spot, other, blur, room)
+        chi2, plain, number = _descend(pixels, count, spot, gain, room)
+        # Two lights as bright in one spot may have shared it wrongly.
+        parted = is_split or room.p[RISE2] < ALIKE * room.p[RISE1]
+        if parted and _take(spot, chi2, plain, number, X1, room, out):
+            return True
+    if is_split:
+        return False
+    _start_within(spot, blur, room)
+    chi2, plain, number = _descend(pixels, count, spot, gain, room)
+    # Of two lights in one spot the brighter is the LED's; it must be much brighter.
+    brighter, dimmer = max(room.p[RISE1], room.p[RISE2]), min(room.p[RISE1], room.p[RISE2])
+    first = X1 if room.p[RISE1] >= room.p[RISE2] else X2
+    return dimmer < ALIKE * brighter and _take(spot, chi2, plain, number, first, room, out)

@@ -3,7 +3,18 @@
 import math
 
 from asterism.server.compiled import compiled
-from asterism.server.segmentation.spot_table import AT_EDGE, FATE, HEIGHT, SEMI_A, TOO_FAINT, TOUCHING, X, Y
+from asterism.server.segmentation.spot_table import (
+    ANGLE,
+    AT_EDGE,
+    FATE,
+    HEIGHT,
+    SEMI_A,
+    SEMI_B,
+    TOO_FAINT,
+    TOUCHING,
+    X,
+    Y,
+)
 
 NEIGHBOUR_REACH_PX = 9.0  # spots farther apart than this, edge to edge, do not disturb one another
 MOST_NEIGHBOURS = 8
@@ -15,8 +26,8 @@ LARGEST_LEANING = 3.0  # and not this many times larger: a lamp is no round Gaus
 def neighbours_of(spots, order, place, widest, neighbours, other):
     """Fill ``neighbours`` (k, 3) x, y, radius px with the spots near the one at ``place``; return their count.
 
-    ``other`` (4,) receives x, y, height and radius of the brightest of those that were split from it, if it is no
-    lamp; its height is 0 where there is none.
+    ``other`` (6,) receives x, y, height, semi-axes and angle of the brightest of those that were split from it, if it
+    is no lamp; its height is 0 where there is none.
     """
     n = order.shape[0]
     spot = spots[order[place]]
@@ -43,5 +54,6 @@ def neighbours_of(spots, order, place, widest, neighbours, other):
                 beside = spot[TOUCHING] > 0.0 and near[TOUCHING] > 0.0 and gap < TOUCHING_PX
                 if beside and near[HEIGHT] > other[2] and near[SEMI_A] < LARGEST_LEANING * spot[SEMI_A]:
                     other[0], other[1], other[2], other[3] = near[X], near[Y], near[HEIGHT], near[SEMI_A]
+                    other[4], other[5] = near[SEMI_B], near[ANGLE]
             step += direction
     return count
