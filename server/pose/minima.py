@@ -12,7 +12,7 @@ from asterism.server.pose.planar import NO_SOLUTION, normal_equations, other_min
 from asterism.server.pose.rotations import angle_between
 from asterism.server.pose.spot_shift import correct_rays, refine_shifted
 from asterism.server.pose.systematic import ITERATIONS, systematic
-from asterism.server.pose.valley import fill_pose, is_frontal, look_around, missed, survey, tilt_of, valley_room
+from asterism.server.pose.valley import fill_pose, is_frontal, look_around, missed, survey, tilt_of
 
 FEW = 3  # iterations, after which a second minimum that costs more than the first by HOPELESS is good enough
 HOPELESS = 80.0  # squared sigmas: odds of e^40
@@ -46,7 +46,6 @@ class Work(NamedTuple):
     arm: Any  # (3,)
     a: Any  # (6, 6)
     b: Any  # (6,)
-    valley: Any
 
 
 @compiled
@@ -54,9 +53,7 @@ def work_room():
     points, seen, applied, information = np.empty((6, 3)), np.empty((2, 6, 2)), np.empty((2, 6, 2)), np.empty((6, 3))
     own, centre, shifts, start, start_t = np.empty((6, 3)), np.empty(3), np.empty((6, 2)), np.empty((3, 3)), np.empty(3)
     kept, kept_t, arm, a, b = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((6, 6)), np.empty(6)
-    return Work(
-        points, seen, applied, information, own, centre, shifts, start, start_t, kept, kept_t, arm, a, b, valley_room()
-    )
+    return Work(points, seen, applied, information, own, centre, shifts, start, start_t, kept, kept_t, arm, a, b)
 
 
 @compiled
@@ -163,31 +160,45 @@ def curvature(rotation, t, lit, work, covariance):
 
 
 @compiled
-def find_missed(robot, solution, better, count, focal, work):
-    """Look for a minimum that was missed, where the better one is seen nearly in front; returns the better one then."""
-    rotations, ts, costs, valley = solution.rotations, solution.ts, solution.costs, work.valley
+def look_wide(rotation, t, lit, work, valley, covariance):
+    """Fill a pose's ``covariance`` (6, 6) with its curvature's and, where it is seen nearly in front, the valley.
+
+    Returns minus the logarithm of the covariance's determinant and the step of the valley's grid, 0 for no valley.
+    """
+    narrow = curvature(rotation, t, lit, work, covariance)
+    if not is_frontal(rotation, t, covariance, valley) or not survey(rotation, t, lit, work.centre, valley):
+        return narrow, 0.0
+    x, y = tilt_of(rotation, valley)
+    return narrow, look_around(x, y, valley)
+
+
+@compiled
+def find_missed(robot, solution, better, count, focal, work, valley):
+    """Look for a minimum that was missed, where the better one is seen nearly in front.
+
+    Returns which is the better one then, and what `look_wide` says of it.
+    """
+    rotations, ts, costs = solution.rotations, solution.ts, solution.costs
+    narrow = step = 0.0
     for _ in range(2):
         other = 1 - better
         lit, others = lit_of(work, better, count, work.information), lit_of(work, other, count, work.information)
-        curvature(rotations[better], ts[better], lit, work, solution.covariances[better])
-        if not is_frontal(rotations[better], ts[better], solution.covariances[better], valley):
-            return better
-        if not survey(rotations[better], ts[better], lit, work.centre, valley):
-            return better
+        narrow, step = look_wide(rotations[better], ts[better], lit, work, valley, solution.covariances[better])
+        if step == 0.0:
+            break
         x, y = tilt_of(rotations[better], valley)
         other_x, other_y = tilt_of(rotations[other], valley) if costs[other] < NO_SOLUTION else (x, y)
-        step = look_around(x, y, valley)
         at_x, at_y, found = missed(x, y, other_x, other_y, step, valley)
         if not found:
-            return better
+            break
         fill_pose(at_x, at_y, rotations[better], lit, valley, work.kept, work.kept_t)
         cost = refine_shifted(work.kept, work.kept_t, others, robot.optics, focal, ITERATIONS)
         if cost >= costs[other] or angle_between(work.kept, rotations[better]) < SAME_RAD:
             if costs[other] < NO_SOLUTION:
                 correct_rays(rotations[other], ts[other], others, robot.optics)
-            return better
+            break
         rotations[other], ts[other], costs[other] = work.kept, work.kept_t, cost
         if cost >= costs[better]:
-            return better
+            break
         better = other
-    return better
+    return better, narrow, step

@@ -16,13 +16,13 @@ from asterism.server.compiled import compiled
 from asterism.server.pose.covariance import move_origin
 from asterism.server.pose.fit import LEDS
 from asterism.server.pose.lens import FX, FY, project_point
-from asterism.server.pose.minima import SAME_RAD, Robot, curvature, find_missed, lit_of, refine_both, work_room
+from asterism.server.pose.minima import SAME_RAD, Robot, find_missed, lit_of, look_wide, refine_both, work_room
 from asterism.server.pose.planar import NO_SOLUTION
 from asterism.server.pose.rotations import angle_between, log_between, mapped
 from asterism.server.pose.spot_shift import spot_shifts
 from asterism.server.pose.spread import COVERED, spread, squared
 from asterism.server.pose.systematic import odd_led, systematic
-from asterism.server.pose.valley import is_frontal, look_around, survey, tilt_of
+from asterism.server.pose.valley import tilt_of, valley_room
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,27 +122,23 @@ def _fill_arm(rotation, centre, arm):
 
 
 @compiled
-def _spread(solution, which, alone, lit, work):
-    """Fill the covariance of a minimum, about the plane's origin: alone, or what lies on its side of the other.
+def _spread(solution, which, alone, step, work, valley):
+    """Bring a minimum's covariance to the plane's origin, and where it has a valley (`look_wide`) fill it with that's.
 
-    Returns minus twice the logarithm of the minimum's width (of all six numbers together): of two minima of equal cost
-    the wider is the likelier.
+    ``alone``: there is no other minimum, else only what lies on its side of that.
     """
-    rotation, t, covariance = solution.rotations[which], solution.ts[which], solution.covariances[which]
-    valley = work.valley
-    narrow = curvature(rotation, t, lit, work, covariance)
-    if not is_frontal(rotation, t, covariance, valley) or not survey(rotation, t, lit, work.centre, valley):
+    covariance, rotation = solution.covariances[which], solution.rotations[which]
+    if step == 0.0:
         _fill_arm(rotation, work.centre, work.arm)
         move_origin(covariance, work.arm)
-        return narrow
+        return
     x, y = tilt_of(rotation, valley)
     other_x, other_y = tilt_of(solution.rotations[1 - which], valley)
-    spread(x, y, other_x, other_y, alone, look_around(x, y, valley), valley, covariance)
-    return narrow
+    spread(x, y, other_x, other_y, alone, step, valley, covariance)
 
 
 @compiled
-def _apart(solution, better, work):
+def _apart(solution, better, work, valley):
     """Squared difference of the two minima's poses, weighted by the better one's covariance."""
     rotations, ts, move = solution.rotations, solution.ts, np.empty(6)
     log_between(rotations[better], rotations[1 - better], move[3:])
@@ -150,7 +146,7 @@ def _apart(solution, better, work):
         move[i] = ts[1 - better, i] - ts[better, i]
         for j in range(3):
             move[i] -= (rotations[1 - better, i, j] - rotations[better, i, j]) * work.centre[j]
-    return squared(move, solution.covariances[better], work.valley)
+    return squared(move, solution.covariances[better], valley)
 
 
 @compiled
@@ -163,31 +159,36 @@ def _faces(rotation, t):
 
 
 @compiled
-def _measure_up(solution, better, count, focal, work):
-    """Fill costs and covariances of both minima, about the visible LEDs' mean; one that is no other pose goes."""
-    rotations, ts, costs = solution.rotations, solution.ts, solution.costs
+def _measure_up(robot, solution, better, count, focal, work, valley):
+    """Fill costs and covariances of both minima, about the plane's origin; one that is no other pose goes.
+
+    Of two minima of equal cost the wider, of all six numbers together, is the likelier.
+    """
+    rotations, ts, costs, covariances = solution.rotations, solution.ts, solution.costs, solution.covariances
     for which in range(2):
         if costs[which] < NO_SOLUTION and not _faces(rotations[which], ts[which]):
             costs[which] = NO_SOLUTION
     if costs[better] >= NO_SOLUTION:
         better = 1 - better
-        if costs[better] >= NO_SOLUTION:
-            return
+    if costs[better] >= NO_SOLUTION:
+        return
+    better, narrow, step = find_missed(robot, solution, better, count, focal, work, valley)
     other = 1 - better
+    if costs[other] < NO_SOLUTION and angle_between(rotations[0], rotations[1]) < SAME_RAD:
+        costs[other] = NO_SOLUTION
     for which in range(2):
         if costs[which] < NO_SOLUTION:
             _, costs[which] = systematic(rotations[which], ts[which], lit_of(work, which, count, work.own), focal)
-    lit = lit_of(work, better, count, work.information)
-    if costs[other] < NO_SOLUTION and angle_between(rotations[0], rotations[1]) < SAME_RAD:
+    has_other = costs[other] < NO_SOLUTION
+    _spread(solution, better, not has_other, step, work, valley)
+    if has_other and step > 0.0 and _apart(solution, better, work, valley) <= COVERED:
         costs[other] = NO_SOLUTION
-    narrow = _spread(solution, better, costs[other] >= NO_SOLUTION, lit, work)
-    if costs[other] >= NO_SOLUTION:
-        return
-    if _apart(solution, better, work) <= COVERED:
-        costs[other] = NO_SOLUTION
-        _spread(solution, better, True, lit, work)
-    else:
-        costs[other] += _spread(solution, other, False, lit_of(work, other, count, work.information), work) - narrow
+        _spread(solution, better, True, step, work, valley)
+    elif has_other:
+        lit = lit_of(work, other, count, work.information)
+        other_narrow, step = look_wide(rotations[other], ts[other], lit, work, valley, covariances[other])
+        costs[other] += other_narrow - narrow
+        _spread(solution, other, False, step, work, valley)
 
 
 @compiled
@@ -206,7 +207,7 @@ def _fill_residuals(lens, robot, rotation, t, centres_px, shifts, residuals):
 
 
 @compiled
-def _solve(lens, robot, measured, solution, focal, work):
+def _solve(lens, robot, measured, solution, focal, work, valley):
     """Solve one robot from the start in ``work``; ``solution`` are its rows of the `Solutions`."""
     rotations, ts, costs = solution.rotations, solution.ts, solution.costs
     spot_shifts(work.start, work.start_t, robot.layout, robot.optics, work.shifts)
@@ -215,8 +216,7 @@ def _solve(lens, robot, measured, solution, focal, work):
         robot.labels[odd] = -1
     costs[:] = NO_SOLUTION
     better, count = refine_both(robot, measured, solution, focal, work)
-    better = find_missed(robot, solution, better, count, focal, work)
-    _measure_up(solution, better, count, focal, work)
+    _measure_up(robot, solution, better, count, focal, work, valley)
     for which in range(2):
         if costs[which] < NO_SOLUTION:
             _fill_arm(rotations[which], work.centre, work.arm)
@@ -232,10 +232,10 @@ def solve_robots(lens, constellations, matched, measured, solutions):
 
     ``lens`` as in `lens`. Where one of six spots turns out to be odd, the robot's assignment is changed.
     """
-    work = work_room()
+    work, valley = work_room(), valley_room()
     focal = math.sqrt(lens[FX] * lens[FY])
     for k in range(matched.robots.shape[0]):
         work.start[:, :], work.start_t[:] = matched.rotations[k], matched.ts[k]
         index = matched.robots[k]
         robot = Robot(constellations.layouts[index], constellations.optics[index], matched.assignment[k])
-        _solve(lens, robot, measured, _of(solutions, k), focal, work)
+        _solve(lens, robot, measured, _of(solutions, k), focal, work, valley)

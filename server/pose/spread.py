@@ -12,7 +12,18 @@ import numpy as np
 
 from asterism.server.compiled import compiled
 from asterism.server.pose.covariance import invert
-from asterism.server.pose.valley import COARSE, DOUBT, FINE_X, FINE_Y, fill_quartic, move_at, value_at
+from asterism.server.pose.valley import (
+    COARSE,
+    DOUBT,
+    FINE_X,
+    FINE_Y,
+    POWER_X,
+    POWER_Y,
+    along_y,
+    fill_quartic,
+    move_at,
+    value_at,
+)
 
 COVERED = 25.0  # squared error, weighted by the covariance, that a tilt in doubt may at most have
 
@@ -56,24 +67,41 @@ def spread(x, y, other_x, other_y, alone, step, valley, covariance):
     move_at(x, y, valley.moves, moves[0])
     for k in range(6):
         moves[0, k] = valley.moves[0, k] - moves[0, k]
-    sums[:, :] = 0.0
-    total = 0.0
-    terms = np.empty(6)
+    powers = valley.beyond
+    powers[:, :] = 0.0
     for i in range(2 * FINE_X + 1):
+        at_x = x0 + i * step_x
+        a, b, c, d, e = along_y(cost, at_x)
+        m0 = m1 = m2 = m3 = m4 = 0.0
         for j in range(2 * FINE_Y + 1):
-            at_x, at_y = x0 + i * step_x, y0 + j * step_y
-            fine[i, j] = value_at(cost, at_x, at_y) - lowest
+            at_y = y0 + j * step_y
+            above = a - lowest + at_y * (b + at_y * (c + at_y * (d + at_y * e)))
             if not (alone or at_x * dx + at_y * dy < half):
-                fine[i, j] = 2.0 * DOUBT
-            if fine[i, j] > 1.5 * DOUBT:
-                continue
-            weight = math.exp(-0.5 * fine[i, j])
-            terms[0], terms[1], terms[2] = 1.0, at_x, at_y
-            terms[3], terms[4], terms[5] = at_x * at_x, at_x * at_y, at_y * at_y
-            total += weight
-            for p in range(6):
-                for q in range(p + 1):
-                    sums[p, q] += weight * terms[p] * terms[q]
+                above = 2.0 * DOUBT
+            fine[i, j] = above
+            if above < 1.2 * DOUBT:
+                weight = math.exp(-0.5 * above)
+                m0 += weight
+                weight *= at_y
+                m1 += weight
+                weight *= at_y
+                m2 += weight
+                weight *= at_y
+                m3 += weight
+                m4 += weight * at_y
+        if m0 > 0.0:
+            power = 1.0
+            for k in range(5):
+                powers[k, 0] += power * m0
+                powers[k, 1] += power * m1
+                powers[k, 2] += power * m2
+                powers[k, 3] += power * m3
+                powers[k, 4] += power * m4
+                power *= at_x
+    total = powers[0, 0]
+    for p in range(6):
+        for q in range(6):
+            sums[p, q] = powers[POWER_X[p] + POWER_X[q], POWER_Y[p] + POWER_Y[q]]
     _from_sums(total, valley, covariance)
     for _ in range(3):
         if not _cover(x0, y0, step_x, step_y, valley, covariance):
@@ -85,9 +113,6 @@ def _from_sums(total, valley, covariance):
     """Fill ``covariance`` (6, 6) with the second moment of the moves, and what the rest varies by at every tilt."""
     moves, sums, half, rest = valley.from_here, valley.sums, valley.half, valley.rest
     axis, arm = valley.axes[2], valley.arm
-    for p in range(6):
-        for q in range(p):
-            sums[q, p] = sums[p, q]
     for p in range(6):
         for k in range(6):
             half[p, k] = 0.0
@@ -125,11 +150,13 @@ def _cover(x0, y0, step_x, step_y, valley, covariance):
     fill_quartic(gram, quartic)
     most, most_x, most_y = COVERED, 0.0, 0.0
     for i in range(2 * FINE_X + 1):
+        at_x = x0 + i * step_x
+        a, b, c, d, e = along_y(quartic, at_x)
         for j in range(2 * FINE_Y + 1):
-            if fine[i, j] < DOUBT:
-                beyond = value_at(quartic, x0 + i * step_x, y0 + j * step_y)
-                if beyond > most:
-                    most, most_x, most_y = beyond, x0 + i * step_x, y0 + j * step_y
+            at_y = y0 + j * step_y
+            beyond = a + at_y * (b + at_y * (c + at_y * (d + at_y * e)))
+            if fine[i, j] < DOUBT and beyond > most:
+                most, most_x, most_y = beyond, at_x, at_y
     if most <= 1.05 * COVERED:
         return False
     move = np.empty(6)

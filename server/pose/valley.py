@@ -24,8 +24,8 @@ DOUBT = 2.0 * math.log(1e4)  # squared sigmas up to which a tilt is not out of t
 FRONTAL = 8.0 * DOUBT  # tilts further from the line of sight than that, squared sigmas, are what their minimum says
 LEAST_STEP = 0.05  # of n, between the poses that the polynomials go through
 WIDEST = 0.6  # of n
-_X, _Y = np.array([0, 1, 0, 2, 1, 0]), np.array([0, 0, 1, 0, 1, 2])  # powers of 1, x, y, x^2, xy, y^2
-COARSE, FINE_X, FINE_Y = 8, 10, 7  # steps to either side
+POWER_X, POWER_Y = np.array([0, 1, 0, 2, 1, 0]), np.array([0, 0, 1, 0, 1, 2])  # powers of 1, x, y, x^2, xy, y^2
+COARSE, FINE_X, FINE_Y = 8, 10, 5  # steps to either side
 
 
 class Valley(NamedTuple):
@@ -147,14 +147,18 @@ def _fill_columns(rotation, t, lit, valley):
         columns[2 * k, 1], columns[2 * k + 1, 1] = _whiten(lit, k, 0.0, iz)
         columns[2 * k, 2], columns[2 * k + 1, 2] = _whiten(lit, k, -u * iz, -v * iz)
         columns[2 * k, 3], columns[2 * k + 1, 3] = _whiten(lit, k, (w0 - u * w2) * iz, (w1 - v * w2) * iz)
+    for i in range(4):
+        for j in range(i + 1):
+            total = 0.0
+            for row in range(2 * count):
+                total += columns[row, i] * columns[row, j]
+            valley.gram[i, j] = total
     unit = np.empty(4)
     for column in range(4):
         for i in range(4):
             unit[i] = 1.0 if i == column else 0.0
-            for j in range(4):
-                fit[i, j] = 0.0
-                for row in range(2 * count):
-                    fit[i, j] += columns[row, i] * columns[row, j]
+            for j in range(i + 1):
+                fit[i, j] = valley.gram[i, j]
         if not cholesky_solve(fit, unit):
             return False
         rest[:, column] = unit
@@ -263,17 +267,27 @@ def fill_quartic(gram, quartic):
     quartic[:, :] = 0.0
     for i in range(6):
         for j in range(i + 1):
-            quartic[_X[i] + _X[j], _Y[i] + _Y[j]] += gram[i, j] if i == j else 2.0 * gram[i, j]
+            quartic[POWER_X[i] + POWER_X[j], POWER_Y[i] + POWER_Y[j]] += gram[i, j] if i == j else 2.0 * gram[i, j]
+
+
+@compiled
+def along_y(quartic, x):
+    """Coefficients of 1, y, ..., y^4 of a polynomial (5, 5) at an x."""
+    c = quartic
+    return (
+        c[0, 0] + x * (c[1, 0] + x * (c[2, 0] + x * (c[3, 0] + x * c[4, 0]))),
+        c[0, 1] + x * (c[1, 1] + x * (c[2, 1] + x * c[3, 1])),
+        c[0, 2] + x * (c[1, 2] + x * c[2, 2]),
+        c[0, 3] + x * c[1, 3],
+        c[0, 4],
+    )
 
 
 @compiled
 def value_at(quartic, x, y):
     """A polynomial of fourth degree, coefficients (5, 5) of x^i y^j."""
-    c = quartic
-    y0 = c[0, 0] + y * (c[0, 1] + y * (c[0, 2] + y * (c[0, 3] + y * c[0, 4])))
-    y1 = c[1, 0] + y * (c[1, 1] + y * (c[1, 2] + y * c[1, 3]))
-    y2 = c[2, 0] + y * (c[2, 1] + y * c[2, 2])
-    return y0 + x * (y1 + x * (y2 + x * (c[3, 0] + y * c[3, 1] + x * c[4, 0])))
+    a, b, c, d, e = along_y(quartic, x)
+    return a + y * (b + y * (c + y * (d + y * e)))
 
 
 @compiled
@@ -301,8 +315,10 @@ def look_around(x, y, valley):
     """Fill the ``coarse`` costs about the tilt (x, y) of a minimum, to be read by the others; the step of the grid."""
     step = _reach(x, y, valley) / COARSE
     for i in range(2 * COARSE + 1):
+        a, b, c, d, e = along_y(valley.cost, (i - COARSE) * step)
         for j in range(2 * COARSE + 1):
-            valley.coarse[i, j] = value_at(valley.cost, (i - COARSE) * step, (j - COARSE) * step)
+            at = (j - COARSE) * step
+            valley.coarse[i, j] = a + at * (b + at * (c + at * (d + at * e)))
     return step
 
 
