@@ -44,6 +44,8 @@ class Plan:
         self.reach_px = 1.2 * float(self.extents.max()) * self.focal / self.near
         self.masks: Ints = np.array(rig.masks, np.int64).reshape(-1, 4)
         # nan where the rig does not say how large the LEDs are
+        offsets = [robot.led_offset for robot in rig.robots]
+        self.has_scatter = np.array([led is not None and not math.isnan(led.scatter_px) for led in offsets])
         self.led_radii = np.array([robot.led_radius or math.nan for robot in rig.robots])
         ratios = self.extents / self.led_radii
         self.reach_in_radii = RADII_MARGIN * float(ratios.max()) if np.isfinite(ratios).all() else math.inf

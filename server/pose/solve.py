@@ -15,11 +15,12 @@ from asterism.protocol.geometry import Floats, Pose
 from asterism.server.compiled import compiled
 from asterism.server.pose.covariance import invert, move_origin, tilt_variance
 from asterism.server.pose.fit import LEDS
+from asterism.server.pose.led_doubt import add_doubts
 from asterism.server.pose.lens import FX, FY, project_point
 from asterism.server.pose.matched import Lit, gather
 from asterism.server.pose.planar import NO_SOLUTION, normal_equations, other_minimum, refine_pose
 from asterism.server.pose.rotations import angle_between, mapped
-from asterism.server.pose.spot_shift import correct_rays, refine_shifted, spot_shifts
+from asterism.server.pose.spot_shift import DOUBTS, correct_rays, refine_shifted, spot_shifts
 from asterism.server.pose.systematic import ITERATIONS, odd_led, systematic
 
 FEW = 3  # iterations, after which a second minimum that costs more than the first by HOPELESS is good enough
@@ -242,11 +243,13 @@ def _refine_both(robot, measured, solution, focal, work):
 
 
 @compiled
-def _measure_up(rotation, t, lit, work, covariance):
+def _measure_up(rotation, t, lit, optics, work, covariance):
     """Fill the ``covariance`` (6, 6) of a pose about the visible LEDs' mean, and move both to the plane's origin."""
     a, arm, centre = work.a, work.arm, work.centre
     normal_equations(rotation, t, lit.points, lit.seen, lit.information, a, work.b)
     invert(a, covariance)
+    if optics[DOUBTS] > 0.0:
+        add_doubts(rotation, t, lit, optics, covariance)
     # t -= R centre, with the rotation's share.
     for i in range(3):
         arm[i] = 0.0
@@ -290,7 +293,7 @@ def _solve(lens, robot, measured, solution, focal, work):
             costs[which] = NO_SOLUTION
             continue
         _, costs[which] = systematic(rotation, t, _lit(work, which, count, work.own), focal)
-        _measure_up(rotation, t, _lit(work, which, count, work.information), work, covariances[which])
+        _measure_up(rotation, t, _lit(work, which, count, work.information), robot.optics, work, covariances[which])
         _fill_residuals(lens, robot, rotation, t, measured.centres_px, work.shifts, solution.residuals[which])
     if (
         costs[0] < NO_SOLUTION

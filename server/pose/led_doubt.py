@@ -1,0 +1,69 @@
+"""What is not known of LEDs' own light, as their led.yaml tells it (`protocol.led_offset`), in spots and in poses.
+
+Errors of single spots widen these. Errors that all LEDs of a robot share leave no residuals, and fewer spots' noise
+would hide them however many spots there are; so they are carried through the solved pose one by one.
+"""
+
+import math
+
+import numpy as np
+
+from asterism.protocol.geometry import Floats
+from asterism.protocol.led_offset import MOST_KNOTS, LedOffset
+from asterism.server.compiled import compiled
+from asterism.server.pose.planar import normal_equations
+from asterism.server.pose.spot_shift import AXIS, DOUBT, DOUBTS, along_axis
+
+SMALL = 1e-3  # of one sigma: so that the robust loss sees no outlier in it
+
+
+def own_scatter(offset: LedOffset | None, strange: Floats) -> Floats:
+    """What is to be added to the variances of spots (n,), px^2: the LEDs' own scatter in place of what the estimator
+    of centres allows for ``strange`` light (n,) px.
+    """
+    if offset is None or math.isnan(offset.scatter_px):
+        return np.zeros(len(strange))
+    change: Floats = np.where(strange <= offset.strange_px, offset.scatter_px**2 - strange**2, 0.0)
+    return change
+
+
+@compiled
+def add_doubts(rotation, t, lit, optics, covariance):
+    """Add to a pose's ``covariance`` (6, 6) what the shift of its LEDs' light may be wrong by.
+
+    ``rotation`` and ``t`` are T_camera_plane as of ``lit`` (`matched.Lit`), the covariance that of its spots' noise:
+    an error v of the spots moves the pose by (J' W J)^-1 J' W v, J the derivatives, W the information.
+    """
+    n = lit.points.shape[0]
+    angles, seen, moves = np.empty(n), np.empty((n, 2)), np.empty((n, 2, 2))
+    axis = np.empty(3)
+    for i in range(3):
+        axis[i] = 0.0
+        for j in range(3):
+            axis[i] += rotation[i, j] * optics[AXIS + j]
+    for k in range(n):
+        x, y, z = t[0], t[1], t[2]
+        for j in range(3):
+            x += rotation[0, j] * lit.points[k, j]
+            y += rotation[1, j] * lit.points[k, j]
+            z += rotation[2, j] * lit.points[k, j]
+        dot = axis[0] * x + axis[1] * y + axis[2] * z
+        angles[k] = math.asin(math.sqrt(max(1.0 - dot * dot / (x * x + y * y + z * z), 0.0)))
+        moves[k, 0, 0], moves[k, 0, 1] = x / z, y / z
+        # By a metre along the axis.
+        moves[k, 1, 0], moves[k, 1, 1] = (axis[0] - x / z * axis[2]) / z, (axis[1] - y / z * axis[2]) / z
+    noise, a, b = covariance.copy(), np.empty((6, 6)), np.empty(6)
+    for row in range(int(optics[DOUBTS])):
+        for k in range(n):
+            shift = SMALL * along_axis(optics, DOUBT + row * MOST_KNOTS, angles[k])
+            for i in range(2):
+                seen[k, i] = moves[k, 0, i] + shift * moves[k, 1, i]
+        normal_equations(rotation, t, lit.points, seen, lit.information, a, b)
+        for i in range(6):
+            moved = 0.0
+            for j in range(6):
+                moved += noise[i, j] * b[j]
+            a[0, i] = moved / SMALL
+        for i in range(6):
+            for j in range(6):
+                covariance[i, j] += a[0, i] * a[0, j]
