@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"not written: {options.out}" + (" stays as it was" if options.out.exists() else "") + "; keep the rig")
         return 0
     robots = sorted({sighting.robot for sighting, _ in paired.pairs})
-    text = _text(found, options, robots)
+    text = led_text(found, options.source, options.truth, robots)
     parse_offset(text, str(options.out))
     if rig.z_correction is not None:
         say(
@@ -88,13 +88,14 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _text(found: OffsetCalibration, options: argparse.Namespace, robots: list[str]) -> str:
+def led_text(found: OffsetCalibration, source: str, truth: object, robots: list[str]) -> str:
+    """The led.yaml, with where it comes from."""
     offset = found.offset
     rows = "".join(f"  - {_lengths(row)}\n" for row in offset.doubts)
     near, far = found.distances.min(), found.distances.max()
     return (
         "# Where the light of an LED seems to come from, for a rig's led.offset; by asterism calibrate offset.\n"
-        f"# {len(found.angles)} surveyed poses of {', '.join(robots)}: {options.source}, {options.truth}\n"
+        f"# {len(found.angles)} surveyed poses of {', '.join(robots)}: {source}, {truth}\n"
         f"# seen at {near:.2f} to {far:.2f} m; for this camera, its lens and its estimator of centres\n"
         f"up_to_deg: {np.degrees(offset.up_to_rad):.4f}  # beyond, all stays what it is there\n"
         "# At angles evenly from 0 to there, between axis and line of sight: the shift along the axis, m\n"
