@@ -17,7 +17,7 @@ from asterism.protocol.yaml_file import Section, parse_yaml
 
 MOST_TERMS = 8  # of a polynomial
 MOST_KNOTS = 24
-MOST_DOUBTS = 6
+MOST_DOUBTS = 12
 LARGEST_M = 0.05  # no LED's light seems to come from farther off
 LARGEST_SCATTER_PX = 2.0
 KEYS = ("up_to_deg", "shift", "per_metre", "distance", "doubt", "scatter_px", "strange_px", "axial_shift")

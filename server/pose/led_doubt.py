@@ -14,7 +14,7 @@ from asterism.server.compiled import compiled
 from asterism.server.pose.planar import normal_equations
 from asterism.server.pose.spot_shift import AXIS, DOUBT, DOUBTS, along_axis
 
-SMALL = 1e-3  # of one sigma: so that the robust loss sees no outlier in it
+SMALL = 1e-8  # m: so that the robust loss sees no outlier in it
 
 
 def own_scatter(offset: LedOffset | None, strange: Floats) -> Floats:
@@ -35,7 +35,7 @@ def add_doubts(rotation, t, lit, optics, covariance):
     an error v of the spots moves the pose by (J' W J)^-1 J' W v, J the derivatives, W the information.
     """
     n = lit.points.shape[0]
-    angles, seen, moves = np.empty(n), np.empty((n, 2)), np.empty((n, 2, 2))
+    angles, by_shift, a, seen = np.empty(n), np.empty((n, 6)), np.empty((6, 6)), np.empty((1, 2))
     axis = np.empty(3)
     for i in range(3):
         axis[i] = 0.0
@@ -49,21 +49,22 @@ def add_doubts(rotation, t, lit, optics, covariance):
             z += rotation[2, j] * lit.points[k, j]
         dot = axis[0] * x + axis[1] * y + axis[2] * z
         angles[k] = math.asin(math.sqrt(max(1.0 - dot * dot / (x * x + y * y + z * z), 0.0)))
-        moves[k, 0, 0], moves[k, 0, 1] = x / z, y / z
-        # By a metre along the axis.
-        moves[k, 1, 0], moves[k, 1, 1] = (axis[0] - x / z * axis[2]) / z, (axis[1] - y / z * axis[2]) / z
-    noise, a, b = covariance.copy(), np.empty((6, 6)), np.empty(6)
+        # J' W v of this LED's spot, moved along the axis.
+        seen[0, 0] = x / z + SMALL * (axis[0] - x / z * axis[2]) / z
+        seen[0, 1] = y / z + SMALL * (axis[1] - y / z * axis[2]) / z
+        one = slice(k, k + 1)
+        normal_equations(rotation, t, lit.points[one], seen, lit.information[one], a, by_shift[k])
+    noise, right, moved = covariance.copy(), np.empty(6), np.empty(6)
     for row in range(int(optics[DOUBTS])):
+        right[:] = 0.0
         for k in range(n):
-            shift = SMALL * along_axis(optics, DOUBT + row * MOST_KNOTS, angles[k])
-            for i in range(2):
-                seen[k, i] = moves[k, 0, i] + shift * moves[k, 1, i]
-        normal_equations(rotation, t, lit.points, seen, lit.information, a, b)
+            shift = along_axis(optics, DOUBT + row * MOST_KNOTS, angles[k]) / SMALL
+            for i in range(6):
+                right[i] += shift * by_shift[k, i]
         for i in range(6):
-            moved = 0.0
+            moved[i] = 0.0
             for j in range(6):
-                moved += noise[i, j] * b[j]
-            a[0, i] = moved / SMALL
+                moved[i] += noise[i, j] * right[j]
         for i in range(6):
             for j in range(6):
-                covariance[i, j] += a[0, i] * a[0, j]
+                covariance[i, j] += moved[i] * moved[j]
