@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from asterism.protocol.constellation import LEDS
 from asterism.protocol.geometry import Floats
+from asterism.protocol.led_offset import knot_weights
 from asterism.protocol.rig import Rig, Robot
 from asterism.server.budget.uncertainty import ESTIMATOR_NOISE, LedError, Uncertainty
 from asterism.server.centres.centre_noise import centre_covariances
@@ -103,7 +104,6 @@ def image_factors(
     leds = uncertainty.leds_of(robot.id)
     steps = [replace(camera, distortion=camera.distortion * (1.0 + sign * STEP)).project(points) for sign in (1, -1)]
     bent = (steps[0] - steps[1]) / (2.0 * STEP)
-    shift = offset_shifts(robot, poses, uncertainty.offset_m)
     point = np.broadcast_to(np.eye(2), (n, LEDS, 2, 2)).reshape(n, 2 * LEDS, 2)
     bias = [np.broadcast_to(uncertainty.bias_px * np.eye(2 * LEDS), (n, 2 * LEDS, 2 * LEDS))]
     if robot.led_radius is None:  # the solver then takes LEDs for points
@@ -113,7 +113,7 @@ def image_factors(
         "quantisation": _blocks(rounding),
         "centre bias": np.concatenate(bias, axis=-1),
         "LED positions": _led_causes(positions, by_led @ (robot.leds - robot.leds.mean(axis=0))[:, :, None], leds),
-        "LED angular offset": np.einsum("nlij,nlj->nli", by_point, shift).reshape(n, 2 * LEDS, 1),
+        "LED angular offset": _offset_causes(robot, poses, points, uncertainty, by_point),
         "focal length": uncertainty.focal_relative * (pixels - camera.matrix[:2, 2]).reshape(n, 2 * LEDS, 1),
         "principal point": uncertainty.principal_point_px * point,
         "distortion": uncertainty.distortion_relative * bent.reshape(n, 2 * LEDS, 1),
@@ -128,6 +128,21 @@ def _led_causes(positions: Floats, larger: Floats, leds: LedError) -> Floats:
     if leds.size_relative == 0.0:
         return each
     return np.concatenate([each, leds.size_relative * larger.reshape(len(positions), 2 * LEDS, 1)], axis=-1)
+
+
+def _offset_causes(robot: Robot, poses: Poses, points: Floats, uncertainty: Uncertainty, by_point: Floats) -> Floats:
+    """Factor of the LEDs' own light (n, 12, k): what its led.yaml leaves open, or what is given or assumed."""
+    offset = robot.led_offset
+    if offset is None or not len(offset.doubts) or "offset_m" in uncertainty.given:
+        shifts = offset_shifts(robot, poses, uncertainty.offset_m)[..., None]
+    else:
+        axes = np.broadcast_to((poses.rotations @ robot.axis)[:, None], points.shape)
+        facing = -np.einsum("nli,nli->nl", points, axes) / np.linalg.norm(points, axis=-1)
+        angles = np.arccos(np.clip(facing, -1.0, 1.0))
+        doubts = knot_weights(angles, offset.up_to_rad, len(offset.values)) @ offset.doubts.T
+        shifts = axes[..., None] * doubts[:, :, None]
+    factor: Floats = np.einsum("nlij,nljk->nlik", by_point, shifts).reshape(len(poses), 2 * LEDS, -1)
+    return factor
 
 
 def offset_shifts(robot: Robot, poses: Poses, offset_m: float) -> Floats:

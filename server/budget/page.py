@@ -112,7 +112,7 @@ def assumptions(uncertainty: Uncertainty, light: Light, rig: Rig) -> list[tuple[
             u.origin("bias_px"),
         ),
         ("LED positions", *_leds(u, rig)),
-        ("LED angular offset", f"{u.offset_m * 1e3:g} mm at 45 degrees, all LEDs alike", u.origin("offset_m")),
+        ("LED angular offset", *_offset(u, rig)),
         ("focal length", f"{u.focal_relative:.3%}", u.origin("focal_relative")),
         ("principal point", f"{u.principal_point_px:.3g} px per axis", u.origin("principal_point_px")),
         ("distortion", f"{u.distortion_relative:.2%} of its displacements{bent}", u.origin("distortion_relative")),
@@ -123,6 +123,18 @@ def _robots(all_of_them: int, looked_at: int, names: str) -> str:
     if all_of_them == looked_at:
         return f"{all_of_them} robot{'s' if all_of_them > 1 else ''} ({escape(names)})"
     return f"{all_of_them} robots, {looked_at} of them looked at ({escape(names)})"
+
+
+def _offset(uncertainty: Uncertainty, rig: Rig) -> tuple[str, str]:
+    """What is taken for the shift of the LEDs' light, and where that is from."""
+    measured = [robot.id for robot in rig.robots if robot.led_offset is not None and len(robot.led_offset.doubts)]
+    if not measured or "offset_m" in uncertainty.given:
+        return f"{uncertainty.offset_m * 1e3:g} mm at 45 degrees, all LEDs alike", uncertainty.origin("offset_m")
+    told = f"what the led.yaml leaves open ({', '.join(measured)})"
+    if len(measured) == len(rig.robots):
+        return told, "measured: calibrate offset"
+    others = f"{uncertainty.offset_m * 1e3:g} mm at 45 degrees (the others)"
+    return f"{told}; {others}", "measured: calibrate offset; assumed"
 
 
 def _leds(uncertainty: Uncertainty, rig: Rig) -> tuple[str, str]:

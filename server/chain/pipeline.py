@@ -14,6 +14,7 @@ from asterism.server.identity.identify import identify
 from asterism.server.identity.plan import Plan, plan_for
 from asterism.server.identity.rays import Rays, rays_of
 from asterism.server.pose.choose import Choices, choose
+from asterism.server.pose.led_doubt import own_scatter
 from asterism.server.pose.lens import undistort
 from asterism.server.pose.matched import Matched, Measured
 from asterism.server.pose.rolling import Setup, at_own_rows, solve_rolling
@@ -34,6 +35,7 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     seen = rays_of(blobs, plan)
     matches = identify(seen, plan, _at_own_rows(known, frame, plan), frame.exposed_ns)
     _part_leaning(image, blobs, seen, matches.found, plan)
+    _take_scatter(blobs, seen, matches.found, plan)
     if plan.shutter is None:
         solutions = _solve(blobs, seen, matches.found, plan)
         choices = _choose(frame, seen, matches.found, solutions, plan, known)
@@ -68,9 +70,24 @@ def _part_leaning(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Mat
     """Centre those robots' spots anew that other light leans on: in the blobs and in the rays."""
     if not np.count_nonzero(blobs.table[:, SHOULDER]):
         return
-    claimed = seen.rows[found.assignment[found.assignment >= 0]]
+    # What LEDs whose light is known are strange by is their own.
+    leaning = found.assignment[~plan.has_scatter[found.robots]]
+    claimed = seen.rows[leaning[leaning >= 0]]
     if refine_leaning(image, blobs.table, claimed, blobs.centres_px, blobs.covariances_px2):
         undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)
+
+
+def _take_scatter(blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> None:
+    """Spots of LEDs whose light is known scatter as their led.yaml says; in the rays alone."""
+    for k in np.flatnonzero(plan.has_scatter[found.robots]).tolist():
+        rays = found.assignment[k][found.assignment[k] >= 0]
+        spots = seen.rows[rays]
+        spreads = blobs.covariances_px2[spots]
+        offset = plan.rig.robots[found.robots[k]].led_offset
+        spreads[:, ::2] += own_scatter(offset, blobs.table[spots, SHOULDER])[:, None]
+        undistorted = np.empty((len(rays), 2)), np.empty((len(rays), 3))
+        undistort(plan.lens, blobs.centres_px[spots], spreads, *undistorted)
+        seen.covariances[rays] = undistorted[1]
 
 
 def _solve(blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> Solutions:

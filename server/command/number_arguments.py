@@ -2,7 +2,6 @@
 
 import argparse
 import math
-from collections.abc import Callable
 
 from asterism.protocol.yaml_file import describe
 
@@ -67,15 +66,3 @@ def share(text: str) -> float:
     if not 0 <= value <= 1:
         raise argparse.ArgumentTypeError(f"{text}, expected a number from 0 to 1")
     return value
-
-
-def positives(count: int) -> Callable[[str], tuple[float, ...]]:
-    """So many numbers above 0, with commas between them."""
-
-    def parse(text: str) -> tuple[float, ...]:
-        parts = text.split(",")
-        if len(parts) != count:
-            raise argparse.ArgumentTypeError(f"{text!r}, expected {count} numbers with commas between them")
-        return tuple(positive(part) for part in parts)
-
-    return parse

@@ -48,6 +48,8 @@ class Plan:
         self.reach = float((self.extents / nearest).max())  # chord of the directions of one robot's LEDs
         self.masks: Ints = np.array(rig.masks, np.int64).reshape(-1, 4)
         # nan where the rig does not say how large the LEDs are
+        offsets = [robot.led_offset for robot in rig.robots]
+        self.has_scatter = np.array([led is not None and not math.isnan(led.scatter_px) for led in offsets])
         self.led_radii = np.array([robot.led_radius or math.nan for robot in rig.robots])
         self.largest_radius_px = LARGEST_SPOT * math.hypot(camera.width, camera.height)
         largest = LED_MARGIN * float(self.led_radii.max()) * self.focal / self.near

@@ -15,11 +15,12 @@ from asterism.protocol.geometry import Floats, Pose
 from asterism.server.compiled import compiled
 from asterism.server.pose.covariance import move_origin
 from asterism.server.pose.fit import LEDS
+from asterism.server.pose.led_doubt import add_doubts
 from asterism.server.pose.lens import FX, FY, project_point
 from asterism.server.pose.minima import SAME_RAD, Robot, find_missed, lit_of, look_wide, refine_both, work_room
 from asterism.server.pose.planar import NO_SOLUTION
 from asterism.server.pose.rotations import angle_between, log_between, mapped
-from asterism.server.pose.spot_shift import spot_shifts
+from asterism.server.pose.spot_shift import DOUBTS, spot_shifts
 from asterism.server.pose.spread import COVERED, spread, squared
 from asterism.server.pose.systematic import odd_led, systematic
 from asterism.server.pose.valley import tilt_of, valley_room
@@ -220,6 +221,9 @@ def _solve(lens, robot, measured, solution, focal, work, valley):
     for which in range(2):
         if costs[which] < NO_SOLUTION:
             _fill_arm(rotations[which], work.centre, work.arm)
+            if robot.optics[DOUBTS] > 0.0:
+                lit = lit_of(work, which, count, work.information)
+                add_doubts(rotations[which], ts[which], lit, robot.optics, work.arm, solution.covariances[which])
             ts[which] += work.arm
             _fill_residuals(
                 lens, robot, rotations[which], ts[which], measured.centres_px, work.shifts, solution.residuals[which]

@@ -8,7 +8,7 @@ step shrinks the error some thousandfold, since the shift hardly changes with th
 belongs there, its constants into another column of ``optics``.
 
 The LED's own optics (`protocol.led_offset`): its light seems to come from a point on its axis that moves along it with
-the angle it is seen at; a rotation of the line of sight about the axis changes nothing.
+the angle and the distance it is seen at; a rotation of the line of sight about the axis changes nothing.
 
 Perspective: the image of a disc is an ellipse whose centre is not the image of the disc's centre. Source: the conic of
 the disc's outline (centre C, radius r, normal n in the camera's frame) in closed form,
@@ -16,19 +16,24 @@ x_e = (X Z + r^2 n_x n_z) / (Z^2 - r^2 (1 - n_z^2)), y_e likewise. Shifts are in
 in the distorted image: right to first order in the distortion's change across a spot.
 """
 
+import math
+
 import numpy as np
 
 from asterism.protocol.geometry import Floats
-from asterism.protocol.led_offset import MOST_TERMS
+from asterism.protocol.led_offset import MOST_DOUBTS, MOST_KNOTS
 from asterism.protocol.rig import Robot
 from asterism.server.compiled import compiled
 from asterism.server.pose.lens import project_point
 from asterism.server.pose.planar import NO_SOLUTION, refine_pose
 
 # Columns of `optics`, a row a robot: the radius of its LEDs' discs, m, 0 where the rig does not say; their axis in the
-# plane's frame; sin^2 of the angle up to which the axial shift is known, 0 where it has none; its coefficients, m.
-DISC_RADIUS, AXIS, LIMIT, SHIFT = 0, 1, 4, 5
-OPTICS = SHIFT + MOST_TERMS
+# plane's frame; how many values the axial shift has, 0 for none, and up to which angle, rad; the distance they hold at;
+# how many functions it may be wrong by; the values, what they change by in a metre, and the functions, m.
+DISC_RADIUS, AXIS, KNOTS, LIMIT, DISTANCE, DOUBTS, SHIFT = 0, 1, 4, 5, 6, 7, 8
+PER_METRE = SHIFT + MOST_KNOTS
+DOUBT = PER_METRE + MOST_KNOTS
+OPTICS = DOUBT + MOST_DOUBTS * MOST_KNOTS
 STANDS_STILL_PX = 1e-6
 CORRECTIONS = 6
 
@@ -40,21 +45,40 @@ def optics_of(robot: Robot) -> Floats:
     offset = robot.led_offset
     if offset is not None:
         optics[AXIS : AXIS + 3] = robot.T_robot_plane.rotation.T @ robot.axis
-        optics[LIMIT] = offset.limit
-        optics[SHIFT : SHIFT + len(offset.axial_shift)] = offset.axial_shift
+        knots = len(offset.values)
+        optics[KNOTS], optics[LIMIT], optics[DISTANCE] = knots, offset.up_to_rad, offset.distance_m
+        optics[SHIFT : SHIFT + knots], optics[PER_METRE : PER_METRE + knots] = offset.values, offset.per_metre
+        optics[DOUBTS] = len(offset.doubts)
+        for row, doubt in enumerate(offset.doubts):
+            optics[DOUBT + row * MOST_KNOTS :][:knots] = doubt
     return optics
 
 
 @compiled
 def has_shift(optics):
     """Whether anything shifts the spots of a robot at all."""
-    return optics[DISC_RADIUS] > 0.0 or optics[LIMIT] > 0.0
+    return optics[DISC_RADIUS] > 0.0 or optics[KNOTS] > 0.0
 
 
 @compiled
 def has_offset(optics):
     """Whether the LEDs' own optics shift the spots of a robot."""
-    return optics[LIMIT] > 0.0
+    return optics[KNOTS] > 0.0
+
+
+@compiled
+def along_axis(optics, first, angle):
+    """The function of the angle, rad, whose values stand at column ``first``: `led_offset.knot_weights`, compiled."""
+    knots = int(optics[KNOTS])
+    if knots == 1:
+        return optics[first]
+    place = min(max(angle / optics[LIMIT], 0.0), 1.0) * (knots - 1)
+    k = min(int(place), knots - 2)
+    t = place - k
+    b, c = optics[first + k], optics[first + k + 1]
+    a = optics[first + k - 1] if k > 0 else optics[first + 1]
+    d = optics[first + k + 2] if k + 2 < knots else 2.0 * c - b
+    return b + 0.5 * t * (c - a + t * (2.0 * a - 5.0 * b + 4.0 * c - d + t * (3.0 * (b - c) + d - a)))
 
 
 @compiled
@@ -88,10 +112,10 @@ def spot_shifts(rotation, t, points, optics, shifts):
         if offset:
             u, v = x / z, y / z
             dot = ax * x + ay * y + az * z
-            sin2 = min(max(1.0 - dot * dot / (x * x + y * y + z * z), 0.0), optics[LIMIT])
-            along = 0.0
-            for term in range(SHIFT + MOST_TERMS - 1, SHIFT - 1, -1):
-                along = along * sin2 + optics[term]
+            away2 = x * x + y * y + z * z
+            angle = math.asin(math.sqrt(max(1.0 - dot * dot / away2, 0.0)))
+            along = along_axis(optics, SHIFT, angle)
+            along += (math.sqrt(away2) - optics[DISTANCE]) * along_axis(optics, PER_METRE, angle)
             x, y, z = x + along * ax, y + along * ay, z + along * az
             shifts[k, 0] = x / z - u
             shifts[k, 1] = y / z - v

@@ -146,7 +146,8 @@ class Scene:
                     continue
                 seen = led
                 if robot.led_offset is not None:
-                    seen = led + float(robot.led_offset.shift(np.array(max(1.0 - facing**2, 0.0)))) * axis
+                    angle = np.array(np.arccos(min(facing, 1.0)))
+                    seen = led + float(robot.led_offset.shift(angle, float(np.linalg.norm(led)))) * axis
                 level = look.brightness * float(self.led_brightness[k, number]) * facing
                 x0, y0, size_x, size_y = trace_disc(
                     self.lens, seen, normal, radius, look.psf_px, self._quadrature, light

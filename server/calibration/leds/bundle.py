@@ -172,18 +172,23 @@ def linearise(leds: Floats, views: Views, disc: Disc) -> tuple[Floats, Floats, F
 
 def _axial_shifts(arms: Floats, ts: Floats, axes: Floats, offset: LedOffset) -> tuple[Floats, Floats, Floats]:
     """How far from LEDs at ``arms`` (v, 6, 3) + ``ts`` (v, 3) with ``axes`` (v, 3), camera's frame, their light seems
-    to come (v, 6, 3), m, and the derivatives (v, 6, 3, 3) by the LED's place and by the robot's rotation.
+    to come (v, 6, 3), m, and the derivatives (v, 6, 3, 3) by the LED's place and by the robot's rotation. What the
+    distance changes is too little to derive.
     """
     points, axes = arms + ts[:, None], np.broadcast_to(axes[:, None], arms.shape)
     away = np.linalg.norm(points, axis=-1, keepdims=True)
     sight = points / away
     facing = (sight * axes).sum(axis=-1, keepdims=True)
-    ahead, behind = (offset.shift(1.0 - (facing + step) ** 2) for step in (FACING_STEP, -FACING_STEP))
+    ahead, behind = (_shift(offset, facing + step, away) for step in (FACING_STEP, -FACING_STEP))
     slope = (ahead - behind) / (2.0 * FACING_STEP) * axes
     place = (axes - facing * sight) / away  # of the cosine
     turn = np.cross(arms, place) + np.cross(axes, sight)
     by_place, by_turn = (slope[..., :, None] * each[..., None, :] for each in (place, turn))
-    return offset.shift(1.0 - facing**2) * axes, by_place, by_turn
+    return _shift(offset, facing, away) * axes, by_place, by_turn
+
+
+def _shift(offset: LedOffset, cosine: Floats, distance: Floats) -> Floats:
+    return offset.shift(np.arcsin(np.sqrt(np.maximum(1.0 - cosine**2, 0.0))), distance)
 
 
 def _normal_equations(

@@ -9,6 +9,7 @@ from asterism.protocol.rig import Rig
 from asterism.server.calibration.leds.observations import Sighting
 from asterism.server.pose.covariance import move_origin
 from asterism.server.pose.fit import LEDS
+from asterism.server.pose.led_doubt import own_scatter
 from asterism.server.pose.lens import lens_of, undistort
 from asterism.server.pose.matched import Constellations, Matched, Measured
 from asterism.server.pose.planar import NO_SOLUTION
@@ -32,6 +33,9 @@ def solve_sightings(rig: Rig, sightings: Sequence[Sighting]) -> list[tuple[Pose,
     assignment = np.where(there, np.arange(LEDS * n), -1).reshape(n, LEDS)
     pixels = np.where(there[:, None], centres, rig.camera.matrix[:2, 2])
     flat = np.where(there[:, None], np.column_stack([spreads[:, 0, 0], spreads[:, 0, 1], spreads[:, 1, 1]]), 1.0)
+    for k, (robot, sighting) in enumerate(zip(robots, sightings, strict=True)):
+        change = own_scatter(robot.led_offset, sighting.centres.strange_px)
+        flat[LEDS * k : LEDS * (k + 1), ::2] += np.where(there[LEDS * k : LEDS * (k + 1)], change, 0.0)[:, None]
     rays, covariances = np.empty((LEDS * n, 2)), np.empty((LEDS * n, 3))
     undistort(lens, pixels, flat, rays, covariances)
     starts = [s.pose @ robot.T_robot_plane for s, robot in zip(sightings, robots, strict=True)]

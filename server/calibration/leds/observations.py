@@ -4,7 +4,7 @@ Every frame is localized alone, so that no pose leans on the one before it.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,29 +15,36 @@ from asterism.server.chain.pipeline import localize
 from asterism.server.pose.fit import LEDS
 from asterism.server.pose.solve import PoseEstimate
 from asterism.server.pose.track import Tracks
+from asterism.server.segmentation.spot_table import SHOULDER
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LedCentres:
     """A robot's LEDs in an image; row k is LED k, nan where it is not seen.
 
-    ``centres_px`` (6, 2); ``covariances_px2`` (6, 2, 2) as the estimator of centres says.
+    ``centres_px`` (6, 2); ``covariances_px2`` (6, 2, 2) as the estimator of centres says; ``strange_px`` (6,) what
+    these allow for light that it cannot explain.
     """
 
     centres_px: Floats
     covariances_px2: Floats
+    strange_px: Floats = field(default_factory=lambda: np.zeros(LEDS))
 
     @staticmethod
-    def of(spots: Floats, covariances: Floats, labels: Iterable[int], leds: Iterable[int]) -> "LedCentres":
-        """From a frame's spots (n, 2) px and their covariances (n, 3) xx, xy, yy px^2: spot ``labels[k]`` is LED
-        ``leds[k]``.
+    def of(
+        spots: Floats, covariances: Floats, labels: Iterable[int], leds: Iterable[int], strange: Floats | None = None
+    ) -> "LedCentres":
+        """From a frame's spots (n, 2) px, their covariances (n, 3) xx, xy, yy px^2 and strange light (n,) px: spot
+        ``labels[k]`` is LED ``leds[k]``.
         """
         centres, spreads = np.full((LEDS, 2), np.nan), np.full((LEDS, 2, 2), np.nan)
+        allowed = np.zeros(LEDS)
         for spot, led in zip(labels, leds, strict=True):
             centres[led] = spots[spot]
             xx, xy, yy = covariances[spot]
             spreads[led] = [[xx, xy], [xy, yy]]
-        return LedCentres(centres, spreads)
+            allowed[led] = 0.0 if strange is None else strange[spot]
+        return LedCentres(centres, spreads, allowed)
 
     @property
     def count(self) -> int:
@@ -79,7 +86,9 @@ def observe(frames: Iterable[Frame], rig: Rig) -> Iterator[tuple[Frame, list[Sig
                     frame.name,
                     frame.index,
                     robot,
-                    LedCentres.of(blobs.centres_px, blobs.covariances_px2, answer.spots, answer.leds),
+                    LedCentres.of(
+                        blobs.centres_px, blobs.covariances_px2, answer.spots, answer.leds, blobs.table[:, SHOULDER]
+                    ),
                     T_camera_parent @ answer.pose,
                     turn @ answer.covariance @ turn.T,
                     None if other is None else T_camera_parent @ other.pose,

@@ -1,9 +1,8 @@
-"""An LED's angular offset from robots seen at surveyed poses: refraction by theory, the rest fitted.
+"""An LED's offset from robots seen at surveyed poses: by the angle, and by the distance where poses gain by it.
 
-What theory leaves (reflections inside the LED, all of it where nothing is known of the cover) is a polynomial in sin^2
-of the angle: smooth, even, the same all around the axis. Its degree is the least that predicts held-out poses as well
-as the best does, within one standard error (Hastie, Tibshirani, Friedman, "The elements of statistical learning",
-7.10), so that noise does not become function.
+What an estimator of centres makes of an LED with chip and cup follows no formula: its parts come into view and go one
+after the other. So the offset is as smooth a function as the centres allow (`offset_fit`), with what they leave open.
+Refraction by theory (Snell's law for a dome or a window) is not asked for: docs/calibration.md says why.
 """
 
 import math
@@ -14,92 +13,187 @@ from numpy.typing import NDArray
 
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats
-from asterism.protocol.led_offset import MOST_TERMS, LedOffset
+from asterism.protocol.led_offset import LARGEST_SCATTER_PX, LedOffset
 from asterism.protocol.rig import Rig
 from asterism.server.calibration.leds.labelled import solve_sightings
-from asterism.server.calibration.survey.surveyed import Pairs
-from asterism.server.calibration.survey.surveyed_fit import (
-    Model,
-    SurveyedFit,
-    Table,
-    by_pose,
-    chi2_of,
-    errors_of,
-    fit,
-    table_of,
+from asterism.server.calibration.survey.offset_fit import (
+    START,
+    Found,
+    Linear,
+    Spread,
+    chi2_with,
+    doubts_of,
+    knots_for,
+    linear_about,
+    most_likely,
+    posterior,
 )
-from asterism.server.pose.led_optics import dome_depth, window_depth
-from asterism.server.pose.spot_shift import LIMIT, SHIFT
+from asterism.server.calibration.survey.surveyed import Pairs
+from asterism.server.calibration.survey.surveyed_fit import Table, errors_of, table_of, weighted_errors
+from asterism.server.pose.fit import LEDS
 
 FEWEST_POSES = 12
 BAND_DEG = 15.0
 BANDS = 3  # that must be there: up to 45 degrees
 FEWEST_IN_BAND = 3
-MOST_FITTED = 5  # coefficients: up to sin^8
-PRIOR_M = 0.02  # one sigma of a coefficient: as good as none
 FOLDS = 5
-STEP_M = 1e-5
+NARROW = 1.15  # farthest over nearest distance below which what changes with it cannot be told
+FAR_OFF = 9.0  # times chi squared per number: the survey or the sighting is wrong
+MOST_LEFT_OUT = 0.5
+ROUNDS = 3
+# Scatter beyond what the fit says, px, tried until the errors of poses held out are no larger than their covariances.
+MORE_SCATTER_PX = (0.0, 0.003, 0.005, 0.007, 0.01, 0.014, 0.02, 0.028, 0.04, 0.056, 0.08, 0.11, 0.15)
+POSE = 6  # numbers
+STRANGE_SHARE = 0.98  # of the LEDs' spots, whose strange light is counted as their own
+# LEDs of whose light nothing is known: what is strange in it is no other light beside it.
+UNKNOWN = LedOffset(np.zeros(1), math.pi / 2, np.zeros(1), 1.0, np.zeros((0, 1)), 0.15, LARGEST_SCATTER_PX)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OffsetCalibration:
-    """The whole offset; ``theory`` and ``fitted`` are its two parts as coefficients, m; ``scores`` are squared sigmas
-    a number of held-out poses for 0, 1, 2, ... fitted coefficients; ``constant_sigma`` m, of the constant part.
+    """``spread``: how far everything is off; ``sigmas`` (k,) m of the offset's values; ``used`` (n,) which sightings it
+    rests on, the others being far off what they say.
 
-    ``angles`` (n,) rad, at which the robots were seen; ``before`` and ``after``: errors (n, 3) m and (n,) rad of
-    poses, the latter held out, by the rig as it is and with the offset; ``fit`` tells which of the n were used.
-    ``helps``: whether poses that it was not fitted to gain, so that it is worth having.
+    ``angles`` (n,) rad and ``distances`` (n,) m at which the robots were seen; ``before`` and ``after``: errors (n, 3)
+    m and (n,) rad of poses, the latter held out, by the rig as it is and with the offset; ``weighted`` (n,): squared
+    errors of the latter by their covariances. ``helps``: whether poses that it was not fitted to gain, so that it is
+    worth having. ``told_distance``: whether the distances differ enough to tell what changes with them.
     """
 
     offset: LedOffset
-    theory: Floats
-    fitted: Floats
-    scores: Floats
-    constant_sigma: float
+    spread: Spread
+    sigmas: Floats
+    used: NDArray[np.bool_]
     angles: Floats
+    distances: Floats
     before: tuple[Floats, Floats]
     after: tuple[Floats, Floats]
-    fit: SurveyedFit
+    weighted: Floats
     helps: bool
+    told_distance: bool
 
 
-def calibrate_offset(
-    rig: Rig, pairs: Pairs, film: str, dome: tuple[float, ...] | None, window: tuple[float, ...] | None
-) -> OffsetCalibration:
+class _Survey:
+    """Pairs as they are fitted: by a rig without offset."""
+
+    def __init__(self, rig: Rig, pairs: Pairs, largest: float, distance: float, told_distance: bool) -> None:
+        self.pairs, self.largest, self.distance, self.told_distance = pairs, largest, distance, told_distance
+        self.rig = replace(rig, robots=tuple(replace(robot, led_offset=None) for robot in rig.robots))
+        table = table_of(pairs, self.rig)
+        axes = np.array([robot.T_robot_plane.rotation.T @ robot.axis for robot in rig.robots])
+        self.axes = axes[table.robots]
+        self.strange = np.array([s.centres.strange_px for s, _ in pairs])
+        self.table = _plain(table, self.strange)
+
+    def nothing(self) -> LedOffset:
+        """The offset that a fit begins with."""
+        return LedOffset.table(np.zeros(knots_for(self.largest)), self.largest)
+
+    def linear(self, offset: LedOffset) -> Linear:
+        """All pairs, linear about an offset."""
+        offset = replace(offset, distance_m=self.distance)
+        linear = linear_about(offset, self.table, self.rig.camera, self.axes)
+        if not self.told_distance:
+            linear.by_values[:, :, len(offset.values) :] = 0.0
+        return linear
+
+    def offset(self, found: Found, spread: Spread, used: NDArray[np.bool_]) -> LedOffset:
+        """The offset of what was found."""
+        knots = len(found.values) // 2
+        seen = (self.table.noise[:, range(2 * LEDS), range(2 * LEDS)][:, ::2] < 1e6) & used[:, None]
+        strange = float(np.quantile(self.strange[seen], STRANGE_SHARE))
+        values, changes = found.values[:knots], found.values[knots:]
+        doubts = doubts_of(found, spread)
+        return LedOffset(values, self.largest, changes, self.distance, doubts, spread.scatter, strange)
+
+
+def calibrate_offset(rig: Rig, pairs: Pairs, film: str) -> OffsetCalibration:
     """Fit the offset that all LEDs in ``pairs`` share; ``film`` is what sentences call them.
 
-    Raises InputError where the angles that are needed were not seen.
+    Raises InputError where the angles that are needed were not seen, or most poses are far off.
     """
-    plain = replace(rig, robots=tuple(replace(robot, led_offset=None) for robot in rig.robots))
-    angles, largest = _angles(pairs, rig)
+    angles, distances, largest = _angles(pairs, rig)
     check_angles(film, angles)
-    table = table_of(pairs, plain)
-    theory = _theory(largest, dome, window)
-    full = fit(_model(plain, theory, largest), table, np.full(MOST_FITTED, PRIOR_M))
-    folds = np.arange(len(table)) % FOLDS
-    terms, scores = _terms(plain, table[full.used], folds[full.used], theory, largest, full.sigmas)
-    model, priors = _model(plain, theory, largest), np.full(terms, PRIOR_M)
-    final = fit(model, table[full.used], priors, full.sigmas) if terms else None
-    fitted = np.zeros(0) if final is None else final.parameters
-    offset = LedOffset(_sum(theory, fitted), largest)
-    # Of the fullest fit: a smaller one knows its constant better only if its shape is the right one.
-    sigma = math.sqrt(full.covariance[0, 0])
+    told_distance = bool(distances.max() >= NARROW * distances.min())
+    survey = _Survey(rig, pairs, largest, float(np.median(distances)), told_distance)
+    linear, found, spread, used = _fitted(survey)
+    folds = np.arange(len(pairs)) % FOLDS
     before = errors_of(pairs, rig, solve_sightings(rig, [s for s, _ in pairs]))
-    after = _held_out(plain, pairs, table, folds, theory, largest, terms, full)
-    rms = [float(np.sqrt(np.nanmean(away[full.used] ** 2))) for away, _ in (before, after)]
-    helps = rms[1] < rms[0] and _helps(rig, pairs, full, scores[1][terms])
-    return OffsetCalibration(offset, theory, fitted, scores[0], sigma, angles, before, after, full, helps)
+    for more in MORE_SCATTER_PX:
+        wider = spread._replace(scatter=math.hypot(spread.scatter, more))
+        after, weighted, chi2 = _held_out(survey, linear, spread, wider, used, folds)
+        if float(np.nanmean(weighted[used])) <= POSE:
+            break
+    spread = wider
+    offset = survey.offset(found, spread, used)
+    rms = [float(np.sqrt(np.nanmean(away[used] ** 2))) for away, _ in (before, after)]
+    gain = (_chi2_as_it_is(survey, rig, spread) - chi2)[used]
+    helps = rms[1] < rms[0] and float(gain.sum()) > float(gain.std()) * math.sqrt(len(gain))
+    sigmas = np.sqrt(np.diag(found.covariance)[: len(offset.values)])
+    return OffsetCalibration(
+        offset, spread, sigmas, used, angles, distances, before, after, weighted, helps, told_distance
+    )
 
 
-def _helps(rig: Rig, pairs: Pairs, full: SurveyedFit, held_out: Floats) -> bool:
-    """Whether the squared residuals (n,) of poses that the offset was not fitted to are less than by the rig as it is,
-    by more than one standard error.
+def _fitted(survey: _Survey) -> tuple[Linear, Found, Spread, NDArray[np.bool_]]:
+    """The fit to all poses but those that are far off."""
+    used = np.ones(len(survey.pairs), np.bool_)
+    largest, spread = survey.largest, START
+    linear = survey.linear(survey.nothing())
+    for _ in range(ROUNDS):
+        spread = most_likely(linear.rows(used), largest, spread)
+        found = posterior(linear.rows(used), largest, spread)
+        linear = survey.linear(survey.offset(found, spread, used))
+        left = chi2_with(linear, found.values, spread) / (2.0 * survey.table.seen)
+        now = left <= FAR_OFF * max(float(np.median(left)), 1e-9)
+        if now.sum() < MOST_LEFT_OUT * len(now):
+            raise InputError(
+                f"{(~now).sum()} of {len(now)} surveyed poses are far off what the others say, expected few such; do "
+                "truth and frames belong together, is the rig roughly right?"
+            )
+        if (now == used).all():
+            break
+        used = now
+    return linear, found, spread, used
+
+
+def _plain(table: Table, strange: Floats) -> Table:
+    """With the centres' own noise alone."""
+    noise = table.noise.copy()
+    allowed = np.repeat(strange**2, 2, axis=1)
+    numbers = np.arange(2 * LEDS)
+    noise[:, numbers, numbers] = np.maximum(noise[:, numbers, numbers] - allowed, 1e-8)
+    return replace(table, noise=noise)
+
+
+def _chi2_as_it_is(survey: _Survey, rig: Rig, spread: Spread) -> Floats:
+    """Squared residuals (n,) by the rig as it is."""
+    had = table_of(survey.pairs, rig)
+    linear = survey.linear(survey.nothing())
+    predicted = had.spots(rig.camera, had.layouts, had.optics, had.rotations, had.ts)
+    residuals = had.centres.reshape(len(had), -1) - predicted
+    return chi2_with(linear._replace(residuals=residuals), np.zeros(linear.by_values.shape[2]), spread)
+
+
+def _held_out(
+    survey: _Survey, linear: Linear, spread: Spread, told: Spread, used: NDArray[np.bool_], folds: NDArray[np.int64]
+) -> tuple[tuple[Floats, Floats], Floats, Floats]:
+    """Errors of every pose with the offset fitted to the others, those by their covariances with ``told`` scatter, and
+    the squared residuals of the centres at the surveyed poses.
     """
-    table = table_of(pairs, rig)[full.used]
-    here = table.layouts, table.optics, table.rotations, table.ts
-    residuals = table.centres.reshape(len(table), -1) - table.spots(rig.camera, *here)
-    gain = chi2_of(table, residuals, by_pose(table, rig.camera, *here), full.sigmas) - held_out
-    return float(gain.sum()) > float(gain.std()) * math.sqrt(len(gain))
+    n = len(survey.pairs)
+    away, turned, weighted, chi2 = np.full((n, 3), np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
+    for fold in range(FOLDS):
+        out = folds == fold
+        found = posterior(linear.rows(~out & used), survey.largest, spread)
+        chi2[out] = chi2_with(linear.rows(out), found.values, spread)
+        tried = with_offset(survey.rig, survey.offset(found, told, used))
+        rows = np.flatnonzero(out)
+        here = [survey.pairs[k] for k in rows]
+        solved = solve_sightings(tried, [s for s, _ in here])
+        away[rows], turned[rows] = errors_of(here, tried, solved)
+        weighted[rows] = weighted_errors(here, tried, solved, (spread.survey_m, spread.survey_rad))
+    return (away, turned), weighted, chi2
 
 
 def check_angles(film: str, angles: Floats) -> None:
@@ -123,108 +217,17 @@ def with_offset(rig: Rig, offset: LedOffset) -> Rig:
     return replace(rig, robots=tuple(replace(robot, led_offset=offset) for robot in rig.robots))
 
 
-def _angles(pairs: Pairs, rig: Rig) -> tuple[Floats, float]:
-    """Angles (n,) rad between LED axis and line of sight at the robots' middles, and the largest at any LED; by where
-    robots were located, since of a survey single poses may be wrong.
+def _angles(pairs: Pairs, rig: Rig) -> tuple[Floats, Floats, float]:
+    """Angles (n,) rad between LED axis and line of sight at the robots' middles, their distances (n,) m, and the
+    largest angle at any LED; by where robots were located, since of a survey single poses may be wrong.
     """
-    middles, largest = [], 0.0
+    middles, distances, largest = [], [], 0.0
     for sighting, _ in pairs:
         robot = rig.robot(sighting.robot)
         points = sighting.pose.map(np.vstack([robot.leds.mean(axis=0), robot.leds]))
-        facing = -(points @ (sighting.pose.rotation @ robot.axis)) / np.linalg.norm(points, axis=1)
-        angles = np.arccos(np.clip(facing, 0.0, 1.0))
+        away = np.linalg.norm(points, axis=1)
+        angles = np.arccos(np.clip(-(points @ (sighting.pose.rotation @ robot.axis)) / away, 0.0, 1.0))
         middles.append(angles[0])
+        distances.append(away[0])
         largest = max(largest, float(angles.max()))
-    return np.array(middles), largest
-
-
-def _theory(largest: float, dome: tuple[float, ...] | None, window: tuple[float, ...] | None) -> Floats:
-    """Coefficients of the refraction's axial shift up to the largest angle: least squares on a fine table."""
-    if dome is None and window is None:
-        return np.zeros(0)
-    # Chebyshev's places, so that the error is small everywhere.
-    sin2 = 0.5 * math.sin(largest) ** 2 * (1.0 - np.cos(np.pi * (np.arange(200) + 0.5) / 200))
-    alpha = np.arcsin(np.sqrt(sin2))
-    if dome is not None:
-        index, radius, below = dome
-        depth = dome_depth(index, radius, below, alpha)
-    else:
-        index, below = window or ()
-        depth = window_depth(index, below, alpha)
-    fitted = np.polynomial.Polynomial.fit(sin2, -depth, MOST_TERMS - 1).convert()
-    return np.asarray(fitted.coef, np.float64)
-
-
-def _sum(theory: Floats, fitted: Floats) -> Floats:
-    total = np.zeros(max(len(theory), len(fitted), 1))
-    total[: len(theory)] += theory
-    total[: len(fitted)] += fitted
-    return total
-
-
-def _model(rig: Rig, theory: Floats, largest: float) -> Model:
-    """Spots for fitted coefficients (p,) on top of the theory's."""
-    axes = np.array([robot.T_robot_plane.rotation.T @ robot.axis for robot in rig.robots])
-
-    def model(parameters: Floats, table: Table) -> tuple[Floats, Floats, Floats]:
-        optics = table.optics.copy()
-        optics[:, 1:4] = axes[table.robots]
-        optics[:, LIMIT] = math.sin(largest) ** 2
-        total = _sum(theory, parameters)
-        optics[:, SHIFT : SHIFT + len(total)] = total
-        rest = table.layouts, optics, table.rotations, table.ts
-        predicted = table.spots(rig.camera, *rest)
-        derivatives = np.empty((len(table), predicted.shape[1], len(parameters)))
-        for k in range(len(parameters)):
-            more = optics.copy()
-            more[:, SHIFT + k] += STEP_M
-            derivatives[:, :, k] = (
-                table.spots(rig.camera, table.layouts, more, table.rotations, table.ts) - predicted
-            ) / STEP_M
-        return predicted, derivatives, by_pose(table, rig.camera, *rest)
-
-    return model
-
-
-def _terms(
-    rig: Rig, table: Table, folds: NDArray[np.int64], theory: Floats, largest: float, sigmas: Floats
-) -> tuple[int, tuple[Floats, Floats]]:
-    """How many coefficients to fit, and of 0, 1, 2, ... the scores and every held-out pose's squared residuals
-    (MOST_FITTED + 1, n).
-    """
-    model = _model(rig, theory, largest)
-    squared = np.zeros((MOST_FITTED + 1, len(table)))
-    for terms in range(MOST_FITTED + 1):
-        for fold in range(FOLDS):
-            out = folds == fold
-            parameters = fit(model, table[~out], np.full(terms, PRIOR_M), sigmas).parameters if terms else np.zeros(0)
-            predicted, _, jacobian = model(parameters, table[out])
-            residuals = table[out].centres.reshape(len(predicted), -1) - predicted
-            squared[terms, out] = chi2_of(table[out], residuals, jacobian, sigmas)
-    totals = squared.sum(axis=1)
-    best = int(np.argmin(totals))
-    for terms in range(best + 1):
-        worse = squared[terms] - squared[best]
-        if worse.sum() <= worse.std() * math.sqrt(len(worse)):
-            best = terms
-            break
-    return best, (totals / (2.0 * table.seen.sum()), squared)
-
-
-def _held_out(
-    rig: Rig, pairs: Pairs, table: Table, folds: NDArray[np.int64], theory: Floats, largest: float, terms: int,
-    full: SurveyedFit,
-) -> tuple[Floats, Floats]:  # fmt: skip
-    """Errors of every pose with the offset fitted to the others."""
-    away, turned = np.full((len(pairs), 3), np.nan), np.full(len(pairs), np.nan)
-    model = _model(rig, theory, largest)
-    for fold in range(FOLDS):
-        out = folds == fold
-        fitted = np.zeros(0)
-        if terms:
-            fitted = fit(model, table[~out & full.used], np.full(terms, PRIOR_M), full.sigmas).parameters
-        tried = with_offset(rig, LedOffset(_sum(theory, fitted), largest))
-        rows = np.flatnonzero(out)
-        here = [pairs[k] for k in rows]
-        away[rows], turned[rows] = errors_of(here, rig, solve_sightings(tried, [s for s, _ in here]))
-    return away, turned
+    return np.array(middles), np.array(distances), largest

@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 
 from asterism.protocol.camera import Camera
 from asterism.protocol.errors import InputError
-from asterism.protocol.geometry import Floats, Pose, angle_between, exp_rotation
+from asterism.protocol.geometry import Floats, Pose, angle_between, exp_rotation, log_rotation
 from asterism.protocol.rig import Rig
 from asterism.server.calibration.survey.surveyed import Pairs, true_poses
 from asterism.server.pose.fit import LEDS
@@ -216,3 +216,19 @@ def errors_of(pairs: Pairs, rig: Rig, solved: list[tuple[Pose, Floats] | None]) 
             away[k] = answer[0].position - truth.position
             turned[k] = angle_between(answer[0].rotation, truth.rotation)
     return away, turned
+
+
+def weighted_errors(
+    pairs: Pairs, rig: Rig, solved: list[tuple[Pose, Floats] | None], survey: tuple[float, float] = (0.0, 0.0)
+) -> Floats:
+    """Squared errors (n,) of solved poses by their covariances and the ``survey``'s, one sigma in m and rad, which
+    average 6 where these are meant; nan: none.
+    """
+    own = np.diag(np.repeat(np.square(survey), 3))
+    squared = np.full(len(pairs), np.nan)
+    for k, (truth, answer) in enumerate(zip(true_poses(pairs, rig), solved, strict=True)):
+        if answer is not None:
+            turned = log_rotation(answer[0].rotation @ truth.rotation.T)
+            error = np.concatenate([answer[0].position - truth.position, turned])
+            squared[k] = error @ np.linalg.solve(answer[1] + own, error)
+    return squared

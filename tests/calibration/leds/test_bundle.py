@@ -55,7 +55,7 @@ def error(adjusted: Adjusted, true: Floats, given: Floats) -> Floats:
     return adjusted.leds - (true @ turn.T + shift)
 
 
-DOME = replace(FLAT, offset=LedOffset(np.array([0.0, 0.6e-3, 0.8e-3]), 1.2))
+DOME = replace(FLAT, offset=LedOffset.polynomial(np.array([0.0, 0.6e-3, 0.8e-3]), 1.2))
 
 
 @pytest.mark.parametrize("disc", [Disc(UP, 1e-6, UP), DOME])
