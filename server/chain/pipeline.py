@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from asterism.protocol.camera import check_image_size
 from asterism.protocol.errors import InputError
+from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import Rig
 from asterism.server.centres.blobs import Blobs, find_blobs
 from asterism.server.centres.leaning_spots import refine_leaning
@@ -29,14 +30,15 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     image = _image_of(frame, rig)
     plan = plan_for(rig)
     known = tracks.copy_for(len(rig.robots))
+    learned = known.learned_at(frame.exposed_ns)
     blobs = _blobs(image, plan)
     seen = rays_of(blobs, plan)
     matches = identify(seen, plan, known, frame.exposed_ns)
     _part_leaning(image, blobs, seen, matches.found, plan)
-    solutions = _solve(blobs, seen, matches.found, plan)
+    solutions = _solve(blobs, seen, matches.found, plan, learned)
     choices = _choose(frame, seen, matches.found, solutions, plan, known)
     answers = answers_of(plan, blobs, seen, matches, solutions, choices)
-    return FrameResult(frame.index, frame.exposed_ns, blobs, answers), known
+    return FrameResult(frame.index, frame.exposed_ns, blobs, answers, learned), known
 
 
 def _image_of(frame: Frame, rig: Rig) -> NDArray[np.uint8]:
@@ -69,10 +71,10 @@ def _part_leaning(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Mat
         undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)
 
 
-def _solve(blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> Solutions:
+def _solve(blobs: Blobs, seen: Rays, found: Matched, plan: Plan, learned: Floats) -> Solutions:
     """Both minima of every matched robot. An LED whose spot turns out to be odd leaves the assignment."""
     measured = Measured(seen.rays, seen.covariances, blobs.centres_px[seen.rows])
-    solutions = Solutions.room(len(found.ts))
+    solutions = Solutions.room(len(found.ts), learned[found.robots])
     solve_robots(plan.lens, plan.constellations, found, measured, solutions)
     return solutions
 

@@ -37,6 +37,11 @@ SPOT_ERROR_PX = 0.2  # what a spot may be off while its quad is looked up
 MIRROR_RATIO = 0.6  # a second explanation of a robot is a mirror image if it is dimmer than this
 EVEN_HEIGHT = 1.7  # of the median height of a robot's spots: a brighter one among them may be another's
 
+# Times a residual that the separation from all else must be at least. What the rig has wrong may be as large as the
+# residual shows: of two robots that six spots may be, one with the residual r, the other with R, the first is (R / r)^6
+# times as likely where nothing is known of how far off either is. A thousand, and the separation is r + R at most.
+FAR_BELOW, FARTHER_BELOW = 3.0, 4.2
+
 MOST_CLAIMS, MOST_PENDING = 256, 1024
 
 
@@ -57,7 +62,7 @@ class Limits(NamedTuple):
     """``focal`` px; ``near`` and ``far`` m; ``most_tilt``: the cosine of the largest tilt; ``reach``: how far LEDs of
     one robot are apart at most, px, and ``reach_in_radii``, in radii of their spots; ``fewest`` LEDs that make a
     hypothesis; ``alone``: four spots are to make one, all that they may be, but only where they stand apart from all
-    like them.
+    like them; ``tolerance``, px: what lens and LED positions may be off, one sigma.
     """
 
     focal: float
@@ -68,6 +73,7 @@ class Limits(NamedTuple):
     reach_in_radii: float
     fewest: int
     alone: bool
+    tolerance: float
 
 
 class Results(NamedTuple):
@@ -122,9 +128,9 @@ def _fit(spots, layout, labels, room, systematic2):
 def _judge(robot, spots, sought, limits, results, work):
     """Fit a robot to the four spots' labels and keep what fits; returns whether the robot was claimed."""
     heights, labels, layout = spots.heights, work.four.labels, sought.layouts[robot]
-    systematic2 = (SYSTEMATIC_PX / limits.focal) ** 2
+    systematic2 = (limits.tolerance / limits.focal) ** 2
     count, cost, which = _fit(spots, layout, labels, work.fit, systematic2)
-    if which < 0 or cost > CHI2[count]:
+    if which < 0 or cost > CHI2[count] or count < min(limits.fewest, LEDS):
         return False
     rotation, t = work.fit.rotations[which], work.fit.ts[which]
     depth_m = t[2]
@@ -135,7 +141,8 @@ def _judge(robot, spots, sought, limits, results, work):
         return False
     # Residual norm, m, at the robot: far below the separation no other robot fits as well.
     residual = math.sqrt(cost * systematic2) * depth_m
-    certain = count == LEDS and 3.0 * residual <= sought.separations[robot] and not sought.claimed[robot]
+    apart = FAR_BELOW if limits.tolerance <= SYSTEMATIC_PX else FARTHER_BELOW
+    certain = count == LEDS and apart * residual <= sought.separations[robot] and not sought.claimed[robot]
     for led in range(LEDS):
         if labels[led] >= 0:
             certain &= heights[labels[led]] < EVEN_HEIGHT * height
@@ -155,6 +162,7 @@ def _judge(robot, spots, sought, limits, results, work):
 def _view(limits):
     """How `look_up` may see a robot within the `Limits`, with some room."""
     slack_px = 3.0 * SPOT_ERROR_PX if limits.alone else SPOT_ERROR_PX
+    slack_px += max(limits.tolerance - SYSTEMATIC_PX, 0.0)
     focal = limits.focal
     return View(focal, 0.8 * focal / limits.far, 1.25 * focal / limits.near, limits.most_tilt, slack_px)
 
@@ -164,7 +172,9 @@ def _try(members, spots, sought, limits, results, work, found):
     """Judge the ``found`` robots and labels that `look_up` names for four spots (4,); whether a robot was claimed."""
     four, looked_up, entries = work.four, work.looked_up, sought.quads.entries
     brightest = spots.heights[members[0]]  # the others rank after it
-    reach = 0.0 if limits.alone else REACH_PX  # alone: the other two are hidden
+    reach = (
+        0.0 if limits.alone else REACH_PX + 3.0 * max(limits.tolerance - SYSTEMATIC_PX, 0.0)
+    )  # alone: two are hidden
     for m in range(4):
         four.spots[m] = members[looked_up.order[m]]
     for m in range(found):
@@ -255,11 +265,14 @@ def search(spots, sought, limits, results):
 
 
 def searched(
-    spots: Spots, plan: Plan, claimed: NDArray[np.bool_], brightness: Floats, fewest: int, alone: bool = False
-) -> tuple[Fits, Fits]:
+    spots: Spots, plan: Plan, claimed: NDArray[np.bool_], brightness: Floats, fewest: int, alone: bool = False,
+    tolerance: float = SYSTEMATIC_PX,
+) -> tuple[Fits, Fits]:  # fmt: skip
     """Claims and hypotheses of a search, cut to what there is."""
     sought = Sought(plan.layouts, plan.separations, claimed, brightness, plan.quads)
-    limits = Limits(plan.focal, plan.near, plan.far, MOST_TILT, plan.reach_px, plan.reach_in_radii, fewest, alone)
+    limits = Limits(
+        plan.focal, plan.near, plan.far, MOST_TILT, plan.reach_px, plan.reach_in_radii, fewest, alone, tolerance
+    )
     results = Results(Fits.room(MOST_CLAIMS), Fits.room(MOST_PENDING))
     search(spots, sought, limits, results)
     return results.claims.held(), results.pending.held()

@@ -30,6 +30,7 @@ SLIGHT = 0.5  # up to here more variance of every spot makes the pose less sure,
 # than that, its sign is open, and the copy stays as the alternative that says so.
 SAME_RAD = 0.002
 SURE_TILT_RAD = 0.022
+MISFIT, NOISE_SHARE = range(2)  # columns of `Solutions.misfits`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +91,9 @@ class Lost:
 class Solutions(NamedTuple):
     """Both minima of m robots: ``rotations`` (m, 2, 3, 3) and ``ts`` (m, 2, 3) m of T_camera_plane; ``costs`` (m, 2) as
     `systematic`, NO_SOLUTION where there is none or it faces away; ``covariances`` (m, 2, 6, 6) of the plane's origin
-    (m) and rotation about the camera's axes (rad); ``residuals`` (m, 2, 6, 2) px, observed minus predicted.
+    (m) and rotation about the camera's axes (rad); ``residuals`` (m, 2, 6, 2) px, observed minus predicted. How far
+    off the rig has the robot's LEDs, one sigma, m: ``learned`` (m,) before, 0 where nothing was, which is not written;
+    ``misfits`` (m, 2) by the residuals of this frame alone, and which share of the spots' variance is their own noise.
     """
 
     rotations: Floats
@@ -98,9 +101,11 @@ class Solutions(NamedTuple):
     costs: Floats
     covariances: Floats
     residuals: Floats
+    learned: Floats
+    misfits: Floats
 
     @staticmethod
-    def room(robots: int) -> "Solutions":
+    def room(robots: int, learned: Floats | None = None) -> "Solutions":
         """Room for so many robots."""
         m = robots
         return Solutions(
@@ -109,6 +114,8 @@ class Solutions(NamedTuple):
             np.empty((m, 2)),
             np.empty((m, 2, 6, 6)),
             np.empty((m, 2, LEDS, 2)),
+            np.zeros(m) if learned is None else learned,
+            np.empty((m, 2)),
         )
 
 
@@ -151,7 +158,9 @@ def _work():
 def _of(solutions, k):
     """One robot's rows."""
     rotations, ts, costs = solutions.rotations[k], solutions.ts[k], solutions.costs[k]
-    return Solutions(rotations, ts, costs, solutions.covariances[k], solutions.residuals[k])
+    one = slice(k, k + 1)
+    covariances, residuals = solutions.covariances[k], solutions.residuals[k]
+    return Solutions(rotations, ts, costs, covariances, residuals, solutions.learned[one], solutions.misfits[one])
 
 
 @compiled
@@ -233,7 +242,8 @@ def _refine_both(robot, measured, solution, focal, work):
             break
         work.own[:count] = work.information[:count]
         lit = _lit(work, better, count, work.information)
-        extra, _ = systematic(rotations[better], ts[better], lit, focal)
+        known2 = (solution.learned[0] / ts[better, 2]) ** 2
+        extra, _ = systematic(rotations[better], ts[better], lit, focal, known2)
         share = extra * (_largest(lit.information, 0) + _largest(lit.information, 2))
         if share < NEGLIGIBLE:
             break
@@ -276,10 +286,12 @@ def _solve(lens, robot, measured, solution, focal, work):
     """Solve one robot from the start in ``work``; ``solution`` are its rows of the `Solutions`."""
     rotations, ts, costs, covariances = solution.rotations, solution.ts, solution.costs, solution.covariances
     spot_shifts(work.start, work.start_t, robot.layout, robot.optics, work.shifts)
-    odd = odd_led(robot.layout, robot.labels, measured, work.shifts, work.start, work.start_t, focal)
+    known2 = (solution.learned[0] / max(work.start_t[2], 1e-6)) ** 2
+    odd = odd_led(robot.layout, robot.labels, measured, work.shifts, work.start, work.start_t, focal, known2)
     if odd >= 0:
         robot.labels[odd] = -1
     costs[:] = NO_SOLUTION
+    solution.misfits[0, MISFIT], solution.misfits[0, NOISE_SHARE] = 0.0, 1.0
     better, count = _refine_both(robot, measured, solution, focal, work)
     for which in range(2):
         rotation, t = rotations[which], ts[which]
@@ -289,7 +301,16 @@ def _solve(lens, robot, measured, solution, focal, work):
         if costs[which] >= NO_SOLUTION or towards >= 0.0:
             costs[which] = NO_SOLUTION
             continue
-        _, costs[which] = systematic(rotation, t, _lit(work, which, count, work.own), focal)
+        own = _lit(work, which, count, work.own)
+        told, costs[which] = systematic(rotation, t, own, focal, known2)
+        if which == better:
+            if known2 > 0.0:
+                told, _ = systematic(rotation, t, own, focal, 0.0)
+            noise = 2.0 / (_largest(own.information, 0) + _largest(own.information, 2))
+            solution.misfits[0, MISFIT], solution.misfits[0, NOISE_SHARE] = (
+                math.sqrt(told) * t[2],
+                noise / (noise + told),
+            )
         _measure_up(rotation, t, _lit(work, which, count, work.information), work, covariances[which])
         _fill_residuals(lens, robot, rotation, t, measured.centres_px, work.shifts, solution.residuals[which])
     if (
