@@ -145,8 +145,14 @@ class RobotReport(_message.Message):
     extrapolated: bool
     def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[State, str]] = ..., reason: _Optional[str] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., leds: _Optional[int] = ..., rms_px: _Optional[float] = ..., led: _Optional[_Iterable[int]] = ..., spot: _Optional[_Iterable[int]] = ..., residual_x: _Optional[_Iterable[float]] = ..., residual_y: _Optional[_Iterable[float]] = ..., alternative: _Optional[_Union[Alternative, _Mapping]] = ..., points: _Optional[_Mapping[str, Vector3]] = ..., smoothed_by: _Optional[str] = ..., extrapolated: bool = ...) -> None: ...
 
+class Learned(_message.Message):
+    __slots__ = ("led_misfit",)
+    LED_MISFIT_FIELD_NUMBER: _ClassVar[int]
+    led_misfit: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, led_misfit: _Optional[_Iterable[float]] = ...) -> None: ...
+
 class FrameReport(_message.Message):
-    __slots__ = ("sequence", "exposed_ns", "arrived_ns", "solved_ns", "published_ns", "frame_id", "spots", "robots")
+    __slots__ = ("sequence", "exposed_ns", "arrived_ns", "solved_ns", "published_ns", "frame_id", "spots", "robots", "learned")
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     EXPOSED_NS_FIELD_NUMBER: _ClassVar[int]
     ARRIVED_NS_FIELD_NUMBER: _ClassVar[int]
@@ -155,6 +161,7 @@ class FrameReport(_message.Message):
     FRAME_ID_FIELD_NUMBER: _ClassVar[int]
     SPOTS_FIELD_NUMBER: _ClassVar[int]
     ROBOTS_FIELD_NUMBER: _ClassVar[int]
+    LEARNED_FIELD_NUMBER: _ClassVar[int]
     sequence: int
     exposed_ns: int
     arrived_ns: int
@@ -163,7 +170,8 @@ class FrameReport(_message.Message):
     frame_id: str
     spots: Spots
     robots: _containers.RepeatedCompositeFieldContainer[RobotReport]
-    def __init__(self, sequence: _Optional[int] = ..., exposed_ns: _Optional[int] = ..., arrived_ns: _Optional[int] = ..., solved_ns: _Optional[int] = ..., published_ns: _Optional[int] = ..., frame_id: _Optional[str] = ..., spots: _Optional[_Union[Spots, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RobotReport, _Mapping]]] = ...) -> None: ...
+    learned: Learned
+    def __init__(self, sequence: _Optional[int] = ..., exposed_ns: _Optional[int] = ..., arrived_ns: _Optional[int] = ..., solved_ns: _Optional[int] = ..., published_ns: _Optional[int] = ..., frame_id: _Optional[str] = ..., spots: _Optional[_Union[Spots, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RobotReport, _Mapping]]] = ..., learned: _Optional[_Union[Learned, _Mapping]] = ...) -> None: ...
 
 class Status(_message.Message):
     __slots__ = ("time_ns", "source", "frames", "frames_dropped", "frames_unreadable", "frames_not_recorded", "rate_hz", "solve_p50_s", "solve_p99_s", "latency_p50_s", "latency_p99_s", "rejected", "robots", "problem")

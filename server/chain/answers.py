@@ -86,7 +86,7 @@ def answers_of(
         else:
             answers[robot] = _estimate(k, choices, told, spots, odds, rms, beyond)
     return {
-        robot.id: answers[index] if index in answers else _lost(matches.doubts.get(index), len(seen.rows))
+        robot.id: answers[index] if index in answers else _lost(matches, index, len(seen.rows))
         for index, robot in enumerate(plan.rig.robots)
     }
 
@@ -126,7 +126,9 @@ def _correct_z(plan: Plan, choices: Choices) -> list[bool]:
     return extrapolated
 
 
-def _lost(doubt: str | None, spots: int) -> Lost:
+def _lost(matches: Matches, robot: int, spots: int) -> Lost:
+    doubt = matches.doubts.get(robot)
     if doubt is not None:
         return Lost(doubt, "IDENTITY_AMBIGUOUS")
-    return Lost("none of its LEDs is visible" if spots == 0 else "its constellation is not among the spots")
+    nothing = "none of its LEDs is visible" if spots == 0 else "its constellation is not among the spots"
+    return Lost(matches.reasons.get(robot, nothing))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.protocol.geometry import Floats
 from asterism.server.centres.blobs import Blobs
 from asterism.server.pose.solve import Lost, PoseEstimate
 
@@ -27,9 +28,14 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameResult:
-    """All that a frame told: every spot with its fate, and an answer for every robot of the rig."""
+    """All that a frame told: every spot with its fate, and an answer for every robot of the rig.
+
+    ``learned`` (robots,) m is what earlier frames had told of how far off the rig has each robot's LEDs, one sigma,
+    and what the poses were solved with; 0 where they had told nothing.
+    """
 
     index: int
     exposed_ns: int
     blobs: Blobs
     answers: dict[str, PoseEstimate | Lost]
+    learned: Floats

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from asterism.protocol.camera import check_image_size
 from asterism.protocol.errors import InputError
+from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import Rig
 from asterism.server.centres.blobs import Blobs, find_blobs
 from asterism.server.centres.leaning_spots import refine_leaning
@@ -31,18 +32,19 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     image = _image_of(frame, rig)
     plan = plan_for(rig)
     known = tracks.copy_for(len(rig.robots))
+    learned = known.learned_at(frame.exposed_ns)
     blobs = _blobs(image, plan)
     seen = rays_of(blobs, plan)
     matches = identify(seen, plan, _at_own_rows(known, frame, plan), frame.exposed_ns)
     _part_leaning(image, blobs, seen, matches.found, plan)
     _take_scatter(blobs, seen, matches.found, plan)
     if plan.shutter is None:
-        solutions = _solve(blobs, seen, matches.found, plan)
+        solutions = _solve(blobs, seen, matches.found, plan, learned)
         choices = _choose(frame, seen, matches.found, solutions, plan, known)
     else:
         solutions, choices, known = _solve_rolling(frame, blobs, seen, matches.found, plan, known)
     answers = answers_of(plan, blobs, seen, matches, solutions, choices)
-    return FrameResult(frame.index, frame.exposed_ns, blobs, answers), known
+    return FrameResult(frame.index, frame.exposed_ns, blobs, answers, learned), known
 
 
 def _image_of(frame: Frame, rig: Rig) -> NDArray[np.uint8]:
@@ -90,10 +92,10 @@ def _take_scatter(blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> None:
         seen.covariances[rays] = undistorted[1]
 
 
-def _solve(blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> Solutions:
+def _solve(blobs: Blobs, seen: Rays, found: Matched, plan: Plan, learned: Floats) -> Solutions:
     """Both minima of every matched robot. An LED whose spot turns out to be odd leaves the assignment."""
     measured = Measured(seen.rays, seen.covariances, blobs.centres_px[seen.rows])
-    solutions = Solutions.room(len(found.ts))
+    solutions = Solutions.room(len(found.ts), learned[found.robots])
     solve_robots(plan.lens, plan.constellations, found, measured, solutions)
     return solutions
 

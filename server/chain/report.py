@@ -51,6 +51,7 @@ def frame_report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int, pu
         published_ns=published_ns,
         frame_id=rig.parent_frame,
     )
+    message.learned.led_misfit.extend(result.learned.tolist())
     blobs, spots = result.blobs, message.spots
     spots.x.extend(blobs.centres_px[:, 0].tolist())
     spots.y.extend(blobs.centres_px[:, 1].tolist())

@@ -15,6 +15,7 @@ import numpy as np
 from asterism.protocol.geometry import Floats
 
 BEYOND_CHANCE = 12.0  # the least score, in nats: one false claim in 160 000 places looked at
+CHANCE = "its spots may be chance"
 TWO_PLACES = "it is seen in two places"
 RIVAL = 2.5  # score of a brighter place of the same robot, from which on the dimmer one is not claimed
 MARGIN = 7.0  # over the best explanation without it, in nats: odds of 1000
@@ -37,6 +38,11 @@ class Hypothesis:
     def used(self) -> frozenset[int]:
         """The spots it claims."""
         return frozenset(spot for spot in self.spots if spot >= 0)
+
+    @property
+    def whole(self) -> bool:
+        """Whether it claims a spot for every LED."""
+        return -1 not in self.spots
 
 
 def _same(a: Hypothesis, b: Hypothesis) -> bool:
@@ -68,7 +74,7 @@ def assign(hypotheses: Sequence[Hypothesis]) -> tuple[list[Hypothesis], dict[int
         for member in best:
             rest = best_score - _best_set([h for h in strongest if h is not member])[1]
             if member.score < BEYOND_CHANCE:
-                doubts.setdefault(member.robot, "its spots may be chance")
+                doubts.setdefault(member.robot, CHANCE)
             elif any(_outshines(rival, member) for rival in strongest):
                 doubts[member.robot] = TWO_PLACES
             elif rest < MARGIN:

@@ -3,12 +3,14 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.protocol.geometry import Floats
 from asterism.server.centres.blobs import Ints
 from asterism.server.identity import assign
-from asterism.server.identity.evidence import Version, best_version
+from asterism.server.identity.evidence import LEAST_LIKE, MOST_LIKE, Version, best_version
 from asterism.server.identity.fours import fours
 from asterism.server.identity.hypotheses import COST, ROBOT, Found
 from asterism.server.identity.hypotheses import HEIGHT as FIT_HEIGHT
+from asterism.server.identity.loose import loose, tolerance_px
 from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan
 from asterism.server.identity.search import MIRROR_RATIO, searched
@@ -16,9 +18,15 @@ from asterism.server.pose.fit import CHI2, LEDS, SYSTEMATIC_PX, median_of
 
 PRIOR_SYSTEMATIC_PX = 0.08  # what to expect of calibration and LED positions before a robot was seen
 
+BESIDE = 4.0  # sigmas of a ruler's errors
 
-def find(spots: Spots, plan: Plan, known: NDArray[np.bool_]) -> tuple[list[Found], dict[int, str]]:
-    """Who is among the free spots, but for the robots that are ``known``; and why a robot is in doubt."""
+
+def find(spots: Spots, plan: Plan, known: NDArray[np.bool_], misfits: Floats) -> tuple[list[Found], dict[int, str]]:
+    """Who is among the free spots, but for the robots that are ``known``; and why a robot is in doubt.
+
+    ``misfits`` (robots,) m: one sigma of what each robot's LEDs are off as far as that was learned, 0 for nothing.
+    """
+    free = spots.free.copy()
     claimed = known.copy()
     brightness = np.zeros(len(known))
     # A robot that was followed to its place has no rival: only a much brighter one would count.
@@ -60,10 +68,38 @@ def find(spots: Spots, plan: Plan, known: NDArray[np.bool_]) -> tuple[list[Found
     for robot in outshone:
         doubts[robot] = assign.TWO_PLACES
     found = [entry for entry in found if entry[0] not in outshone]
+    # Of a rig that is off some five LEDs may fit by chance, and a spot lies where the sixth should be but for that.
+    doubtful = [entry for entry in found if _has_one_beside(spots, plan, entry, found)]
+    sure = [entry for entry in found if all(entry is not other for other in doubtful)]
     wanted_still = ~known
+    wanted_still[[robot for robot, *_ in sure]] = False
+    wanted_still[[robot for robot, why in doubts.items() if why == assign.TWO_PLACES]] = False
+    rivals = [h for h in hypotheses if wanted_still[h.robot]]
+    # Claims that were disputed and not upheld leave their spots.
+    more, loose_doubts = loose(spots._replace(free=free), plan, misfits, sure, wanted_still, rivals)
+    decided = {robot for robot, *_ in more}
+    found = sure + more + [entry for entry in doubtful if entry[0] not in decided | loose_doubts.keys()]
+    doubts = {robot: why for robot, why in (loose_doubts | doubts).items() if robot not in decided}
     wanted_still[[robot for robot, *_ in found]] = False
     wanted_still[list(doubts)] = False
     return found + fours(spots, plan, sigma, found, wanted_still, doubts), doubts
+
+
+def _has_one_beside(spots: Spots, plan: Plan, entry: Found, found: list[Found]) -> bool:
+    """Whether a robot lacks an LED near whose place a spot like its others is nobody's."""
+    robot, labels, rotation, t = entry
+    lacking = np.flatnonzero(labels < 0)
+    if not len(lacking):
+        return False
+    free = spots.free.copy()
+    for _, others, _, _ in found:
+        free[others[others >= 0]] = False
+    height = float(median_of(spots.heights, labels))
+    like = free & (spots.heights > LEAST_LIKE * height) & (spots.heights < MOST_LIKE * height)
+    places = plan.layouts[robot][lacking] @ rotation.T + t
+    flat = places[:, :2] / places[:, 2:] * [plan.focal, -plan.focal]
+    away = np.hypot(*(spots.flat[like][:, None] - flat).transpose(2, 0, 1))
+    return bool((away < BESIDE * tolerance_px(plan)).any())
 
 
 def _outshone(spots: Spots, plan: Plan, sigma_px: float, found: list[Found]) -> set[int]:

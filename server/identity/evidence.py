@@ -121,6 +121,22 @@ class Version(NamedTuple):
 
 
 @compiled
+def version_of(layout, extent, labels, spots, focal, sigma_px, robots, version):
+    """Score a fit as it is, with all the spots that it has: as `best_version`, which see."""
+    room = fit_room()
+    _, chi2, which = fit_labelled(layout, labels, spots.rays, spots.variances, (sigma_px / focal) ** 2, 5, room)
+    if which < 0 or chi2 >= NO_SOLUTION:
+        return -np.inf, 0.0
+    variances_px2 = sigma_px**2 + spots.variances * focal**2
+    height, extent_px = median_of(spots.heights, labels), extent * focal / room.ts[which, 2]
+    around, area = surroundings(spots.flat, spots.heights, spots.free, labels, height, extent_px)
+    version.labels[:] = labels
+    version.rotation[:, :] = room.rotations[which]
+    version.t[:] = room.ts[which]
+    return score(chi2, variances_px2, spots.heights, spots.radii, labels, around, area, robots), height
+
+
+@compiled
 def best_version(layout, extent, labels, spots, focal, sigma_px, robots, version):
     """Score a fit, and what it is without each of its LEDs if it has six: one may be somebody else's light.
 

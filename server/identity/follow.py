@@ -15,12 +15,13 @@ from asterism.server.pose.fit import LEDS, SYSTEMATIC_PX, fit_room
 from asterism.server.pose.planar import NO_SOLUTION, refine_pose
 from asterism.server.pose.rotations import mapped
 from asterism.server.pose.spot_shift import has_offset, spot_shifts
-from asterism.server.pose.track import HEIGHT, predict, predict_room
+from asterism.server.pose.track import HEIGHT, KNOWN, NEWEST, predict, predict_room
 from asterism.server.segmentation.order import ascending
 
 WIDEST_GATE = 0.25  # of a constellation's image; beyond that a prediction is no help
 GATHER_PX = 1.5  # a found robot's missing LED is looked for this near to its place
 LEAST_LEDS = 4
+ROOM = 1.5  # times what a robot's LEDs were off: what they may be after the next step
 BRIGHTNESS_STEP = 2.5  # a LED is not that much brighter or dimmer than it was a frame ago
 # 99.9 % of chi squared for 2, 4 and 6 degrees of freedom.
 CHI2 = np.array([0.0, 0.0, 0.0, 0.0, 13.8, 18.5, 22.5])
@@ -52,6 +53,12 @@ def _expect(tracks, exposed_ns, extents, focal, expected, gates):
             gates[count] = gate
             count += 1
     return count
+
+
+@compiled
+def tolerance_px(misfits, focal, depth):
+    """What a robot's LEDs may be off, one sigma, px: as much as they were in the newest frame, or as was learned."""
+    return max(SYSTEMATIC_PX, ROOM * focal / depth * max(misfits[KNOWN], misfits[NEWEST]))
 
 
 @compiled
@@ -129,13 +136,12 @@ def _fit(layout, labels, spots, systematic2, rotation, t, room, which):
 
 
 @compiled
-def _settle(layout, labels, spots, focal, rotation, t, room, trial):
+def _settle(layout, labels, spots, systematic2, rotation, t, room, trial):
     """Whether the spots ``labels`` (6,) of a robot explain it; those that do not fit are given up one at a time.
 
-    ``rotation`` and ``t``, the prediction, become the pose; its spots are then no longer free. ``trial`` (6,) is
-    scratch.
+    ``rotation`` and ``t``, the prediction, become the pose; its spots are then no longer free. ``systematic2``: the
+    variance of the rays beyond their own. ``trial`` (6,) is scratch.
     """
-    systematic2 = (SYSTEMATIC_PX / focal) ** 2
     best, other = 0, 1  # poses of the room
     count, cost = _fit(layout, labels, spots, systematic2, rotation, t, room, best)
     while count > LEAST_LEDS and cost > CHI2[count]:
@@ -165,15 +171,16 @@ def _settle(layout, labels, spots, focal, rotation, t, room, trial):
 
 
 @compiled
-def _gather_missing(layout, labels, spots, focal, rotation, t, height):
-    """Give a robot the free spots that lie within GATHER_PX of its missing LEDs."""
+def _gather_missing(layout, labels, spots, focal, rotation, t, seen):
+    """Give a robot the free spots near its missing LEDs: ``seen`` are the height of its others, and how near, px."""
+    height, reach = seen
     flat, free, heights = spots.flat, spots.free, spots.heights
     for led in range(LEDS):
         if labels[led] >= 0:
             continue
         x, y, z = mapped(rotation, t, layout[led])
         px, py = focal * x / z, -focal * y / z
-        best, best2 = -1, GATHER_PX * GATHER_PX
+        best, best2 = -1, reach * reach
         for spot in range(flat.shape[0]):
             away2 = (flat[spot, 0] - px) ** 2 + (flat[spot, 1] - py) ** 2
             if free[spot] and away2 < best2 and _alike(heights[spot], height):
@@ -204,12 +211,15 @@ def follow(spots, constellations, extents, focal, tracks, exposed_ns, matched):
     for k in range(count):
         robot, rotation, t = expected.robots[k], expected.rotations[k], expected.ts[k]
         layout = constellations.layouts[robot]
-        if _settle(layout, assignment[k], spots, focal, rotation, t, room, trial):
+        systematic2 = (tolerance_px(tracks.misfits[robot], focal, t[2]) / focal) ** 2
+        if _settle(layout, assignment[k], spots, systematic2, rotation, t, room, trial):
             matched.robots[found], matched.assignment[found] = robot, assignment[k]
             matched.rotations[found], matched.ts[found] = rotation, t
             brightness[found] = brightness[k]
             found += 1
     for k in range(found):
         layout, labels = constellations.layouts[matched.robots[k]], matched.assignment[k]
-        _gather_missing(layout, labels, spots, focal, matched.rotations[k], matched.ts[k], brightness[k])
+        off_px = tolerance_px(tracks.misfits[matched.robots[k]], focal, matched.ts[k, 2])
+        seen = (brightness[k], GATHER_PX * off_px / SYSTEMATIC_PX)
+        _gather_missing(layout, labels, spots, focal, matched.rotations[k], matched.ts[k], seen)
     return found

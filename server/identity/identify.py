@@ -5,26 +5,31 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.protocol.geometry import Floats
 from asterism.server.identity.cold import find
+from asterism.server.identity.explain import explain
 from asterism.server.identity.follow import follow
+from asterism.server.identity.fours import DOUBT
 from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan
 from asterism.server.identity.rays import Rays
 from asterism.server.pose.matched import Matched
 from asterism.server.pose.sphere import lay_flat
-from asterism.server.pose.track import Tracks
+from asterism.server.pose.track import KNOWN, Tracks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matches:
     """The robots that were ``found``, their spots rows of the `Rays`, those that were followed first: ``warm`` of them.
 
-    ``doubts`` says why a robot that is not among them is ambiguous.
+    ``doubts`` says why a robot that is not among them is ambiguous, ``reasons`` why one is missing, where anything
+    explains it.
     """
 
     found: Matched
     warm: int
     doubts: dict[int, str]
+    reasons: dict[int, str]
 
 
 def identify(seen: Rays, plan: Plan, tracks: Tracks, exposed_ns: int) -> Matches:
@@ -38,16 +43,32 @@ def identify(seen: Rays, plan: Plan, tracks: Tracks, exposed_ns: int) -> Matches
     if warm < robots and np.count_nonzero(free) >= 4:
         flat, variances = np.empty_like(seen.flat), np.empty_like(seen.variances)
         lay_flat(seen.rays, seen.covariances, plan.focal, flat, variances)
-        found, doubts = _searched(spots._replace(flat=flat, variances=variances), plan, found)
-    return Matches(found, warm, doubts)
+        spots = spots._replace(flat=flat, variances=variances)
+        found, doubts = _searched(spots, plan, found, tracks.misfits[:, KNOWN])
+    return Matches(found, warm, *_explained(spots, plan, found, doubts, tracks, exposed_ns))
 
 
-def _searched(spots: Spots, plan: Plan, followed: Matched) -> tuple[Matched, dict[int, str]]:
+def _searched(spots: Spots, plan: Plan, followed: Matched, misfits: Floats) -> tuple[Matched, dict[int, str]]:
     """The robots that were ``followed`` and those that a cold search finds beside them, and the doubts it leaves."""
     known: NDArray[np.bool_] = np.zeros(len(plan.layouts), np.bool_)
     known[followed.robots] = True
-    found, doubts = find(spots, plan, known)
+    found, doubts = find(spots, plan, known, misfits)
     if not found:
         return followed, doubts
     columns = zip(followed, zip(*found, strict=True), strict=True)
     return Matched(*(np.concatenate([before, np.array(more)]) for before, more in columns)), doubts
+
+
+def _explained(
+    spots: Spots, plan: Plan, found: Matched, doubts: dict[int, str], tracks: Tracks, exposed_ns: int
+) -> tuple[dict[int, str], dict[int, str]]:
+    """The doubts, said better where anything explains them, and the reasons of the other robots that are missing."""
+    missing = np.ones(len(plan.layouts), np.bool_)
+    missing[found.robots] = missing[[robot for robot, why in doubts.items() if why != DOUBT]] = False
+    if not missing.any():
+        tracks.reasons[:] = 0.0
+        return doubts, {}
+    spots.free[:] = True
+    spots.free[found.assignment[found.assignment >= 0]] = False
+    reasons = explain(spots, plan, missing, tracks, exposed_ns)
+    return {robot: reasons.pop(robot, why) for robot, why in doubts.items()}, reasons

@@ -49,6 +49,11 @@ SMALLEST_QUAD_PX2 = 30.0  # twice the area: smaller ones say nothing
 MIRROR_RATIO = 0.6  # a second explanation of a robot is a mirror image if it is dimmer than this
 EVEN_HEIGHT = 1.7  # of the median height of a robot's spots: a brighter one among them may be another's
 
+# Times a residual that the separation from all else must be at least. What the rig has wrong may be as large as the
+# residual shows: of two robots that six spots may be, one with the residual r, the other with R, the first is (R / r)^6
+# times as likely where nothing is known of how far off either is. A thousand, and the separation is r + R at most.
+FAR_BELOW, FARTHER_BELOW = 3.0, 4.2
+
 MOST_CLAIMS, MOST_PENDING = 256, 1024
 
 
@@ -69,7 +74,7 @@ class Limits(NamedTuple):
     """``focal`` px; ``near`` and ``far`` m; ``most_tilt``: the cosine of the largest tilt; ``reach``: the chord by
     which the directions of one robot's LEDs are apart at most; ``extent`` of the largest constellation, m; ``fewest``
     LEDs that make a hypothesis; ``alone``: four spots are to make one, all that they may be, but only where they stand
-    apart from all like them.
+    apart from all like them; ``tolerance``, px: what lens and LED positions may be off, one sigma.
     """
 
     focal: float
@@ -80,6 +85,7 @@ class Limits(NamedTuple):
     extent: float
     fewest: int
     alone: bool
+    tolerance: float
 
 
 class Results(NamedTuple):
@@ -136,9 +142,9 @@ def _fit(spots, layout, labels, room, systematic2):
 def _judge(robot, spots, sought, limits, results, work):
     """Fit a robot to the four spots' labels and keep what fits; returns whether the robot was claimed."""
     heights, labels, layout = spots.heights, work.four.labels, sought.layouts[robot]
-    systematic2 = (SYSTEMATIC_PX / limits.focal) ** 2
+    systematic2 = (limits.tolerance / limits.focal) ** 2
     count, cost, which = _fit(spots, layout, labels, work.fit, systematic2)
-    if which < 0 or cost > CHI2[count]:
+    if which < 0 or cost > CHI2[count] or count < min(limits.fewest, LEDS):
         return False
     rotation, t = work.fit.rotations[which], work.fit.ts[which]
     # Far off the axis a robot far away is at a small depth: it counts as what is nearer to the range.
@@ -150,7 +156,8 @@ def _judge(robot, spots, sought, limits, results, work):
         return False
     # Residual norm, m, at the robot: far below the separation no other robot fits as well.
     residual = math.sqrt(cost * systematic2) * away_m
-    certain = count == LEDS and 3.0 * residual <= sought.separations[robot] and not sought.claimed[robot]
+    apart = FAR_BELOW if limits.tolerance <= SYSTEMATIC_PX else FARTHER_BELOW
+    certain = count == LEDS and apart * residual <= sought.separations[robot] and not sought.claimed[robot]
     for led in range(LEDS):
         if labels[led] >= 0:
             certain &= heights[labels[led]] < EVEN_HEIGHT * height
@@ -170,6 +177,7 @@ def _judge(robot, spots, sought, limits, results, work):
 def _view(limits):
     """How `look_up` may see a robot within the `Limits`, with some room."""
     slack_px, focal = 3.0 * SPOT_ERROR_PX if limits.alone else SPOT_ERROR_PX, limits.focal
+    slack_px += max(limits.tolerance - SYSTEMATIC_PX, 0.0)
     least, most = LEAST_NEARNESS / limits.far, MOST_NEARNESS / limits.near
     return View(least, most, 0.8 * limits.most_tilt, slack_px / focal, SMALLEST_QUAD_PX2 / focal**2)
 
@@ -179,7 +187,9 @@ def _try(members, spots, sought, limits, results, work, found):
     """Judge the ``found`` robots and labels that `look_up` names for four spots (4,); whether a robot was claimed."""
     four, looked_up, entries = work.four, work.looked_up, sought.quads.entries
     brightest = spots.heights[members[0]]  # the others rank after it
-    reach = 0.0 if limits.alone else REACH_PX / limits.focal  # alone: the other two are hidden
+    # Alone, the other two are hidden.
+    reach_px = 0.0 if limits.alone else REACH_PX + 3.0 * max(limits.tolerance - SYSTEMATIC_PX, 0.0)
+    reach = reach_px / limits.focal
     for m in range(4):
         four.spots[m] = members[looked_up.order[m]]
     for m in range(found):
@@ -309,12 +319,13 @@ def search(spots, sought, limits, results):
 
 
 def searched(
-    spots: Spots, plan: Plan, claimed: NDArray[np.bool_], brightness: Floats, fewest: int, alone: bool = False
-) -> tuple[Fits, Fits]:
+    spots: Spots, plan: Plan, claimed: NDArray[np.bool_], brightness: Floats, fewest: int, alone: bool = False,
+    tolerance: float = SYSTEMATIC_PX,
+) -> tuple[Fits, Fits]:  # fmt: skip
     """Claims and hypotheses of a search, cut to what there is."""
     sought = Sought(plan.layouts, plan.separations, claimed, brightness, plan.quads)
     extent = float(plan.extents.max())
-    limits = Limits(plan.focal, plan.near, plan.far, MOST_TILT, plan.reach, extent, fewest, alone)
+    limits = Limits(plan.focal, plan.near, plan.far, MOST_TILT, plan.reach, extent, fewest, alone, tolerance)
     results = Results(Fits.room(MOST_CLAIMS), Fits.room(MOST_PENDING))
     search(spots, sought, limits, results)
     return results.claims.held(), results.pending.held()

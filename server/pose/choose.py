@@ -17,9 +17,11 @@ from asterism.server.pose.covariance import move_origin, turn_axes
 from asterism.server.pose.fit import median_of
 from asterism.server.pose.planar import NO_SOLUTION
 from asterism.server.pose.rotations import product_into, quat_into
+from asterism.server.pose.solve import MISFIT, NOISE_SHARE
 from asterism.server.pose.track import LastSeen, follow_track, is_fresh, tilt_cost
 
 MOST_ODDS = 1e12
+OPEN = 2.0 * math.log(50.0)  # a tilt is as good as open up to there
 NORMAL_SIGMA = math.radians(2.0)  # how soft the edge of a robot's cone of normals is
 
 
@@ -108,6 +110,20 @@ def _cone_cost(rotation, robot, mounts, work):
 
 
 @compiled
+def remembered(before, now, noise_share):
+    """What earlier frames add to what this one tells against a tilt, both in units of chi squared.
+
+    Errors of the spots' own noise are new in every frame, and evidence adds up. What the rig has wrong is the same in
+    all of them: frames that agree then tell no more than the one that tells most, and a frame that leaves the tilt open
+    stays open, whatever one before it said.
+    """
+    same = min(before, OPEN)
+    if now > 0.0:
+        same = max(same - now, 0.0)
+    return noise_share * before + (1.0 - noise_share) * same
+
+
+@compiled
 def _to_parent(rotation, t, robot, mounts, work, position, quaternion):
     """Fill a robot's ``position`` (3,) and ``quaternion`` (4,), T_parent_robot, from its T_camera_plane.
 
@@ -161,12 +177,14 @@ def choose(matched, exposed_ns, solutions, heights, mounts, tracks, choices):
         fresh = is_fresh(tracks.seen_ns[robot], exposed_ns)
         for which in range(2):
             totals[which] = costs[which]
-            if costs[which] >= NO_SOLUTION:
-                continue
-            if fresh:
-                totals[which] += tilt_cost(tracks, robot, exposed_ns, rotations[which])
-            if mounts.within[robot] >= 0.0:
+            if costs[which] < NO_SOLUTION and mounts.within[robot] >= 0.0:
                 totals[which] += _cone_cost(rotations[which], robot, mounts, work)
+        if fresh and costs[0] < NO_SOLUTION and costs[1] < NO_SOLUTION:
+            first = tilt_cost(tracks, robot, exposed_ns, rotations[0])
+            second = tilt_cost(tracks, robot, exposed_ns, rotations[1])
+            favoured = 0 if first <= second else 1
+            told = totals[1 - favoured] - totals[favoured]
+            totals[1 - favoured] += remembered(abs(first - second), told, solutions.misfits[k, NOISE_SHARE])
         chosen = 0 if totals[0] <= totals[1] else 1
         other = 1 - chosen
         if totals[chosen] >= NO_SOLUTION:
@@ -182,6 +200,7 @@ def choose(matched, exposed_ns, solutions, heights, mounts, tracks, choices):
             _to_parent(rotations[other], ts[other], robot, mounts, work, positions[1], quaternions[1])
         height = median_of(heights, matched.assignment[k])
         seen = LastSeen(
-            rotations[chosen], ts[chosen], covariances[chosen], height, rotations[other], has_other, evidence
-        )
+            rotations[chosen], ts[chosen], covariances[chosen], height, rotations[other], has_other, evidence,
+            solutions.misfits[k, MISFIT],
+        )  # fmt: skip
         follow_track(tracks, robot, exposed_ns, seen)

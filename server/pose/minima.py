@@ -100,7 +100,7 @@ def _both_minima(robot, solution, focal, work, count):
 
 
 @compiled
-def _largest(table, column):
+def largest(table, column):
     """The largest number of a column of a table (n, m) of numbers that are not negative."""
     largest = 0.0
     for k in range(table.shape[0]):
@@ -135,8 +135,9 @@ def refine_both(robot, measured, solution, focal, work):
             break
         work.own[:count] = work.information[:count]
         lit = lit_of(work, better, count, work.information)
-        extra, _ = systematic(rotations[better], ts[better], lit, focal)
-        share = extra * (_largest(lit.information, 0) + _largest(lit.information, 2))
+        known2 = (solution.learned[0] / ts[better, 2]) ** 2
+        extra, _ = systematic(rotations[better], ts[better], lit, focal, known2)
+        share = extra * (largest(lit.information, 0) + largest(lit.information, 2))
         if share < NEGLIGIBLE:
             break
         is_slight = share < SLIGHT

@@ -37,7 +37,7 @@ from asterism.server.pose.motion import (
     turned,
 )
 from asterism.server.pose.solve import Solutions, solve_robots
-from asterism.server.pose.track import Tracks
+from asterism.server.pose.track import KNOWN, Tracks
 
 
 class Shutter(NamedTuple):
@@ -131,7 +131,7 @@ def solve_rolling(
     """
     tracks = tracks._replace(courses=tracks.courses.copy_for(len(tracks.seen_ns)))
     m = len(found.robots)
-    solutions, choices = Solutions.room(m), Choices.room(m)
+    solutions, choices = Solutions.room(m, tracks.misfits[found.robots, KNOWN]), Choices.room(m)
     expected = expect(tracks.courses, found.robots, exposed_ns)
     rates = expected.rates()
     green = is_green(rates)

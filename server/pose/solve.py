@@ -17,13 +17,15 @@ from asterism.server.pose.covariance import move_origin
 from asterism.server.pose.fit import LEDS
 from asterism.server.pose.led_doubt import add_doubts
 from asterism.server.pose.lens import FX, FY, project_point
-from asterism.server.pose.minima import SAME_RAD, Robot, find_missed, lit_of, look_wide, refine_both, work_room
+from asterism.server.pose.minima import SAME_RAD, Robot, find_missed, largest, lit_of, look_wide, refine_both, work_room
 from asterism.server.pose.planar import NO_SOLUTION
 from asterism.server.pose.rotations import angle_between, log_between, mapped
 from asterism.server.pose.spot_shift import DOUBTS, spot_shifts
 from asterism.server.pose.spread import COVERED, spread, squared
 from asterism.server.pose.systematic import odd_led, systematic
 from asterism.server.pose.valley import tilt_of, valley_room
+
+MISFIT, NOISE_SHARE = range(2)  # columns of `Solutions.misfits`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +86,9 @@ class Lost:
 class Solutions(NamedTuple):
     """Both minima of m robots: ``rotations`` (m, 2, 3, 3) and ``ts`` (m, 2, 3) m of T_camera_plane; ``costs`` (m, 2) as
     `systematic`, NO_SOLUTION where there is none or it faces away; ``covariances`` (m, 2, 6, 6) of the plane's origin
-    (m) and rotation about the camera's axes (rad); ``residuals`` (m, 2, 6, 2) px, observed minus predicted.
+    (m) and rotation about the camera's axes (rad); ``residuals`` (m, 2, 6, 2) px, observed minus predicted. How far
+    off the rig has the robot's LEDs, one sigma, m: ``learned`` (m,) before, 0 where nothing was, which is not written;
+    ``misfits`` (m, 2) by the residuals of this frame alone, and which share of the spots' variance is their own noise.
     """
 
     rotations: Floats
@@ -92,9 +96,11 @@ class Solutions(NamedTuple):
     costs: Floats
     covariances: Floats
     residuals: Floats
+    learned: Floats
+    misfits: Floats
 
     @staticmethod
-    def room(robots: int) -> "Solutions":
+    def room(robots: int, learned: Floats | None = None) -> "Solutions":
         """Room for so many robots."""
         m = robots
         return Solutions(
@@ -103,6 +109,8 @@ class Solutions(NamedTuple):
             np.empty((m, 2)),
             np.empty((m, 2, 6, 6)),
             np.empty((m, 2, LEDS, 2)),
+            np.zeros(m) if learned is None else learned,
+            np.empty((m, 2)),
         )
 
 
@@ -110,7 +118,9 @@ class Solutions(NamedTuple):
 def _of(solutions, k):
     """One robot's rows."""
     rotations, ts, costs = solutions.rotations[k], solutions.ts[k], solutions.costs[k]
-    return Solutions(rotations, ts, costs, solutions.covariances[k], solutions.residuals[k])
+    one = slice(k, k + 1)
+    covariances, residuals = solutions.covariances[k], solutions.residuals[k]
+    return Solutions(rotations, ts, costs, covariances, residuals, solutions.learned[one], solutions.misfits[one])
 
 
 @compiled
@@ -160,6 +170,16 @@ def _faces(rotation, t):
 
 
 @compiled
+def _tell_misfit(solution, which, own, told, focal, known2):
+    """Fill what this frame alone says of the robot's LEDs (`Solutions.misfits`); ``told`` with what is known before."""
+    if known2 > 0.0:
+        told, _ = systematic(solution.rotations[which], solution.ts[which], own, focal, 0.0)
+    noise = 2.0 / (largest(own.information, 0) + largest(own.information, 2))
+    solution.misfits[0, MISFIT] = math.sqrt(told) * solution.ts[which, 2]
+    solution.misfits[0, NOISE_SHARE] = noise / (noise + told)
+
+
+@compiled
 def _measure_up(robot, solution, better, count, focal, work, valley):
     """Fill costs and covariances of both minima, about the plane's origin; one that is no other pose goes.
 
@@ -177,9 +197,13 @@ def _measure_up(robot, solution, better, count, focal, work, valley):
     other = 1 - better
     if costs[other] < NO_SOLUTION and angle_between(rotations[0], rotations[1]) < SAME_RAD:
         costs[other] = NO_SOLUTION
+    known2 = (solution.learned[0] / ts[better, 2]) ** 2
     for which in range(2):
         if costs[which] < NO_SOLUTION:
-            _, costs[which] = systematic(rotations[which], ts[which], lit_of(work, which, count, work.own), focal)
+            own = lit_of(work, which, count, work.own)
+            told, costs[which] = systematic(rotations[which], ts[which], own, focal, known2)
+            if which == better:
+                _tell_misfit(solution, better, own, told, focal, known2)
     has_other = costs[other] < NO_SOLUTION
     _spread(solution, better, not has_other, step, work, valley)
     if has_other and step > 0.0 and _apart(solution, better, work, valley) <= COVERED:
@@ -212,11 +236,13 @@ def _solve(lens, robot, measured, solution, focal, work, valley):
     """Solve one robot from the start in ``work``; ``solution`` are its rows of the `Solutions`."""
     rotations, ts, costs = solution.rotations, solution.ts, solution.costs
     spot_shifts(work.start, work.start_t, robot.layout, robot.optics, work.shifts)
-    odd = odd_led(robot.layout, robot.labels, measured, work.shifts, work.start, work.start_t, focal)
+    known2 = (solution.learned[0] / max(work.start_t[2], 1e-6)) ** 2
+    odd = odd_led(robot.layout, robot.labels, measured, work.shifts, work.start, work.start_t, focal, known2)
     if odd >= 0:
         robot.labels[odd] = -1
     costs[:] = NO_SOLUTION
     better, count = refine_both(robot, measured, solution, focal, work)
+    solution.misfits[0, MISFIT], solution.misfits[0, NOISE_SHARE] = 0.0, 1.0
     _measure_up(robot, solution, better, count, focal, work, valley)
     for which in range(2):
         if costs[which] < NO_SOLUTION:

@@ -15,13 +15,15 @@ ODD_BEFORE, ODD_AREA_PX2 = 0.01, 30.0  # how often other light moves a spot, and
 CLEARLY_OFF = 3.0  # times the surprising cost: if five LEDs then fit without surprise, the sixth is left out as well
 NO_SYSTEMATIC = 20.0  # odds, before a look at the residuals, that the spots' own noise is the whole story
 LEAST_SYSTEMATIC_PX = 0.002  # and from where on, in doublings, it is not: calibration, LED positions
-SYSTEMATIC_STEPS = 9
+SYSTEMATIC_STEPS = 11  # to 2 px: a ruler's errors, seen near by
+LEAST_KNOWN_PX = 0.01  # what was learned and is less says no more than that the rig is good
+KNOWN_SPREAD, UNLIKE_KNOWN = 0.8, 20.0  # one sigma of the logarithm of the variance that was learned
 # 99.9 % of chi squared for 2, 4 and 6 degrees of freedom: beyond it the spots' noise is not the whole story.
 _SURPRISE = np.array([0.0, 0.0, 0.0, 0.0, 13.8, 18.5, 22.5])
 
 
 @compiled
-def systematic(rotation, t, lit, focal):
+def systematic(rotation, t, lit, focal, known2):
     """What residuals say of a variance, ray units, that every spot has beyond its own, and for the pose itself.
 
     Returns the variance's posterior mean, and the pose's cost: minus twice the logarithm of how likely the residuals
@@ -30,6 +32,8 @@ def systematic(rotation, t, lit, focal):
     tells them apart.
 
     Before, it is none with odds NO_SYSTEMATIC to 1, else anything from LEAST_SYSTEMATIC_PX on, evenly by its logarithm.
+    Where earlier frames have told, it is about that variance, ``known2`` (0 where they have not): log-normal, and with
+    odds UNLIKE_KNOWN to 1 against it anything within the same number of doublings, or none.
     The likelihood is that of residuals with 2 n - 6 degrees of freedom. A mean, since with so few of them the most
     likely value is often far too small, and errors weighted by it far too large.
     """
@@ -38,7 +42,8 @@ def systematic(rotation, t, lit, focal):
     # Squared residuals over all variances, and the product of the determinants over those of the spots' own noise.
     squares, growth = np.zeros(SYSTEMATIC_STEPS + 1), np.ones(SYSTEMATIC_STEPS + 1)
     variances = np.zeros(SYSTEMATIC_STEPS + 1)
-    variances[1] = (LEAST_SYSTEMATIC_PX / focal) ** 2
+    is_known = known2 > (LEAST_KNOWN_PX / focal) ** 2
+    variances[1] = known2 * 4.0 ** ((1 - SYSTEMATIC_STEPS) // 2) if is_known else (LEAST_SYSTEMATIC_PX / focal) ** 2
     for k in range(2, SYSTEMATIC_STEPS + 1):
         variances[k] = 4.0 * variances[k - 1]
     for i in range(n):
@@ -56,8 +61,16 @@ def systematic(rotation, t, lit, focal):
             squares[k] += (yy * e * e - 2.0 * xy * e * f + xx * f * f) / det
             growth[k] *= det * per_det
     logs = -0.5 * (squares + (2 * n - 6) / (2.0 * n) * np.log(growth))
-    logs[0] += math.log(NO_SYSTEMATIC * SYSTEMATIC_STEPS)
-    prior = (NO_SYSTEMATIC + 1.0) * SYSTEMATIC_STEPS
+    prior = 0.0
+    for k in range(SYSTEMATIC_STEPS + 1):
+        before = NO_SYSTEMATIC * SYSTEMATIC_STEPS if k == 0 else 1.0
+        if is_known:
+            before = 1.0 / (SYSTEMATIC_STEPS + 1.0)
+            if k > 0:
+                off = 2.0 * (k - (SYSTEMATIC_STEPS + 1) // 2) * math.log(2.0) / KNOWN_SPREAD
+                before += UNLIKE_KNOWN * math.exp(-0.5 * off * off)
+        logs[k] += math.log(before)
+        prior += before
     most = logs[0]
     for k in range(1, SYSTEMATIC_STEPS + 1):
         most = max(most, logs[k])
@@ -70,12 +83,12 @@ def systematic(rotation, t, lit, focal):
 
 
 @compiled
-def odd_led(layout, labels, measured, shifts, start, start_t, focal):
+def odd_led(layout, labels, measured, shifts, start, start_t, focal, known2):
     """The LED of six whose spot is not where the other five say, or -1: other light may have moved it.
 
     The start (3, 3), (3,) is changed to the pose refined on all six, where they agree. ``shifts`` (6, 2) are those at
-    the start. Of six spots that are all a little off, some five always fit better than all; so one is odd only if that
-    is likelier than that all are off.
+    the start; ``known2`` as in `systematic`. Of six spots that are all a little off, some five always fit better than
+    all; so one is odd only if that is likelier than that all are off.
     """
     room, centre, trial = lit_room(), np.empty(3), np.empty(LEDS, np.int64)
     rotation, t = np.empty((3, 3)), np.empty(3)
@@ -112,7 +125,7 @@ def odd_led(layout, labels, measured, shifts, start, start_t, focal):
                 cost = both_costs[which]
                 rotation[:, :] = both[which]
                 t[:] = both_t[which]
-        _, unlikely = systematic(rotation, t, lit, focal)
+        _, unlikely = systematic(rotation, t, lit, focal, known2)
         if without < 0:
             whole_cost, whole_unlikely = cost, unlikely
         elif cost < best_cost:

@@ -30,6 +30,16 @@ MOST_EVIDENCE = math.log(1e8)
 # spots (grey levels); the evidence, in nats, for the tilt over the other one; whether there is another one.
 POSITION_SIGMA, ROTATION_SIGMA, VELOCITY_SIGMA, TURN_SIGMA, HEIGHT, EVIDENCE, HAS_OTHER = range(7)
 
+# What is learned of a robot's LEDs: how far off the rig has them, one sigma, m, as the residuals of its spots tell. It
+# changes only where one block of time ends and the next begins, and is then what the last block told alone, so that
+# whoever begins anywhere with the values in force agrees with whoever was there before one block later at the latest.
+BLOCK_NS = 2_000_000_000  # of the time since the epoch
+LEAST_SIGHTINGS = 10  # of a robot in a block, before that the old value stays and the block goes on
+LEAST_MISFIT_M = 1e-6
+# Columns of `misfits`: the value in force (0: nothing is known), that of the newest frame, of the block at hand the sum
+# of the logarithms and the count, and which block it is.
+KNOWN, NEWEST, LOG_SUM, SIGHTINGS, BLOCK = range(5)
+
 
 class Tracks(NamedTuple):
     """Every robot of a rig as last seen; row i of every array is robot i. Robots never seen have seen_ns 0.
@@ -45,6 +55,8 @@ class Tracks(NamedTuple):
     other_rotations: Floats  # (robots, 3, 3): the other tilt
     numbers: Floats  # (robots, 7), see above
     courses: Courses  # under a rolling shutter only
+    misfits: Floats  # (robots, 5), see above
+    reasons: Floats  # (robots, 3): why a robot was missing, as `identity.explain` found last
 
     @staticmethod
     def none(robots: int = 0) -> "Tracks":
@@ -58,6 +70,8 @@ class Tracks(NamedTuple):
             np.zeros((robots, 3, 3)),
             np.zeros((robots, 7)),
             Courses.none(),
+            np.zeros((robots, 5)),
+            np.zeros((robots, 3)),
         )
 
     def copy_for(self, robots: int) -> "Tracks":
@@ -73,7 +87,27 @@ class Tracks(NamedTuple):
             self.other_rotations.copy(),
             self.numbers.copy(),
             self.courses,
+            self.misfits.copy(),
+            self.reasons.copy(),
         )
+
+    @staticmethod
+    def knowing(learned: Floats) -> "Tracks":
+        """No memory but what was ``learned`` (robots,) of every robot's LEDs, m, 0 for nothing: `learned_at`."""
+        tracks = Tracks.none(len(learned))
+        tracks.misfits[:, KNOWN] = learned
+        return tracks
+
+    def learned_at(self, exposed_ns: int) -> Floats:
+        """What is known (robots,) of every robot's LEDs in a frame, m, 0 for nothing. Ends blocks that are over."""
+        misfits, block = self.misfits, float(exposed_ns // BLOCK_NS)
+        over = misfits[:, BLOCK] != block
+        if over.any():
+            told = over & (misfits[:, SIGHTINGS] >= LEAST_SIGHTINGS)
+            misfits[told, KNOWN] = np.exp(misfits[told, LOG_SUM] / misfits[told, SIGHTINGS])
+            misfits[told, LOG_SUM] = misfits[told, SIGHTINGS] = 0.0
+            misfits[over, BLOCK] = block
+        return misfits[:, KNOWN].copy()
 
 
 @compiled
@@ -147,7 +181,7 @@ def tilt_cost(tracks, robot, exposed_ns, rotation):
 class LastSeen(NamedTuple):
     """A robot's pose in a frame: ``rotation`` (3, 3) and ``t`` (3,) m of T_camera_plane, with ``covariance`` (6, 6);
     ``height`` of its spots, grey levels; ``other_rotation`` (3, 3), its other tilt if it ``has_other``; ``evidence``,
-    the log odds of its tilt, memory included.
+    the log odds of its tilt, memory included; ``misfit``, m, what its residuals say of its LEDs.
     """
 
     rotation: Any
@@ -157,6 +191,7 @@ class LastSeen(NamedTuple):
     other_rotation: Any
     has_other: bool
     evidence: float
+    misfit: float
 
 
 @compiled
@@ -192,3 +227,7 @@ def follow_track(tracks, robot, exposed_ns, seen):
     known[HEIGHT] = seen.height
     known[EVIDENCE] = min(seen.evidence, MOST_EVIDENCE)
     known[HAS_OTHER] = 1.0 if seen.has_other else 0.0
+    misfits = tracks.misfits[robot]
+    misfits[NEWEST] = seen.misfit
+    misfits[LOG_SUM] += math.log(max(seen.misfit, LEAST_MISFIT_M))
+    misfits[SIGHTINGS] += 1.0

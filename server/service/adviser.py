@@ -1,4 +1,4 @@
-"""Says what can be done while no robot is found, and about robots that never were."""
+"""Says what can be done while no robot is found, about robots that never were, and about those whose rig is off."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,6 +15,7 @@ from asterism.server.service.advice import Wider, advice, wider_advice
 from asterism.server.service.tally import Blank, Tally
 
 AFTER_S = 3.0  # without a robot
+MISFIT_EVERY = 30  # frames
 
 
 class Adviser:
@@ -25,16 +26,25 @@ class Adviser:
         self._tally = tally
         self._say = say
         self._said: Blank | None = None
+        self._looked = 0  # how many frames there were when misfits were looked at
+        self._off: set[str] = set()  # robots of whose rig it was said that it is off
         self._wider_rigs: list[tuple[Rig, bool]] = []
 
     def look(self) -> None:
-        """Say why no robot is found, once for every time that lasts."""
+        """Say why no robot is found, once for every time that lasts, and once of a robot that its rig is off."""
+        self._look_at_misfits()
         blank = self._tally.blank
         if blank is None or blank is self._said or self._tally.clock() - blank.began_s < AFTER_S:
             return
         self._said = blank
         if sentence := self._sentence():
             self._say(f"no robot is found: {sentence}")
+
+    def _look_at_misfits(self) -> None:
+        if self._tally.frames >= self._looked + MISFIT_EVERY:
+            self._looked = self._tally.frames
+            for sentence in self._tally.off(self._rig, self._off):
+                self._say(sentence)
 
     def last(self) -> list[str]:
         """What is to be said at the end: why no robot was found at all, or what kept single ones from being found."""
@@ -48,7 +58,9 @@ class Adviser:
 
     def summary(self) -> list[str]:
         """The end of a run: every robot by state, and what can be done for those that were never found."""
-        return [*self._tally.lines(), *self.last()] if self._tally.frames else []
+        if not self._tally.frames:
+            return []
+        return [*self._tally.lines(), *self._tally.off(self._rig, self._off), *self.last()]
 
     def _sentence(self) -> str:
         blank = self._tally.seen()

@@ -10,8 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism.protocol.messages import Fate
+from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.pose.solve import PoseEstimate
+from asterism.server.service.misfit import Misfits
 
 BRIGHT = 250  # grey levels: a pixel that is as good as saturated
 STEP = 8  # every so many rows and columns are looked at for the share of saturated pixels
@@ -70,6 +72,7 @@ class Tally:
         self.frames = 0
         self.blank: Blank | None = None  # the frames without a robot up to now, None where one is found
         self.frame: Frame | None = None  # the newest
+        self._misfits = Misfits(self._robots)
 
     def add(self, frame: Frame, result: FrameResult) -> None:
         """Count one frame."""
@@ -79,6 +82,7 @@ class Tally:
             self.frames += 1
             self.frame = frame
             self._times.append(now)
+            self._misfits.add(result)
             for robot, answer in result.answers.items():
                 entry = self._robots[robot]
                 self._newest[robot] = answer.state
@@ -116,6 +120,11 @@ class Tally:
         """What the newest frames showed, and the newest of them, if no robot was found in them."""
         with self._lock:
             return None if self.blank is None else (self.blank.seen(), self.blank.newest)
+
+    def off(self, rig: Rig, said: set[str]) -> list[str]:
+        """What to calibrate, for robots that are not among the ``said``, which they then are."""
+        with self._lock:
+            return self._misfits.told(rig, said)
 
     def lines(self) -> list[str]:
         """A line a robot: in how many frames it was in which state, and why most often it was not located."""

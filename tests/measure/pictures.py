@@ -45,7 +45,7 @@ def moved(pose: Pose, motion: Floats, share: float) -> Pose:
 def smeared(rig: Rig, poses: Mapping[str, Pose], widths: float, rng: np.random.Generator) -> Floats:
     """Expected light (h, w) of robots that move by so many widths of their LEDs' spots during the exposure."""
     motions = {}
-    for name, pose in poses.items():
+    for name in poses:
         along = rng.normal(size=6) * np.array([1.0, 1.0, 0.3, 0.0, 0.0, 0.0])
         motions[name] = along / np.linalg.norm(along[:2]) * widths * 2 * (rig.robot(name).led_radius or 0.0)
         motions[name][3:] = rng.normal(size=3) * np.linalg.norm(motions[name][:3]) / 0.1

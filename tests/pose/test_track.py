@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from asterism.protocol.geometry import angle_between, exp_rotation
-from asterism.server.pose.choose import axis_cost
+from asterism.server.pose.choose import OPEN, axis_cost, remembered
 from asterism.server.pose.track import (
+    BLOCK_NS,
     EVIDENCE,
     HAS_OTHER,
+    LEAST_SIGHTINGS,
     MOST_EVIDENCE,
     TURN_SIGMA,
     UNKNOWN_SPEED,
@@ -27,8 +29,10 @@ STEP_NS = 16_666_667
 COVARIANCE = np.diag([1e-8] * 3 + [1e-6] * 3)
 
 
-def follow(tracks: Tracks, now_ns: int, rotation: np.ndarray, t: np.ndarray, evidence: float = 3.0) -> None:
-    follow_track(tracks, 0, now_ns, LastSeen(rotation, t, COVARIANCE, 170.0, np.eye(3), True, evidence))
+def follow(
+    tracks: Tracks, now_ns: int, rotation: np.ndarray, t: np.ndarray, evidence: float = 3.0, misfit: float = 0.0
+) -> None:
+    follow_track(tracks, 0, now_ns, LastSeen(rotation, t, COVARIANCE, 170.0, np.eye(3), True, evidence, misfit))
 
 
 def predicted(tracks: Tracks, now_ns: int) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
@@ -109,3 +113,36 @@ def test_a_normal_inside_its_cone_costs_nothing() -> None:
     for degrees, cost in ((0, 0.0), (39, 0.0), (42, 1.0), (44, 4.0)):
         angle = math.radians(degrees)
         assert axis_cost(np.array([math.sin(angle), 0.0, math.cos(angle)]), up, within) == pytest.approx(cost, abs=1e-6)
+
+
+def test_what_is_learned_changes_where_a_block_ends_and_is_what_that_block_told() -> None:
+    tracks, others = Tracks.none(1), Tracks.knowing(np.array([7e-3]))
+    place = np.array([0.0, 0.0, 1.0])
+    for block, misfit in enumerate([1e-3, 4e-4]):
+        for k in range(60):
+            now = (10 + block) * BLOCK_NS + k * STEP_NS
+            told = [memory.learned_at(now)[0] for memory in (tracks, others)]
+            assert told == ([0.0, 7e-3] if block == 0 else [pytest.approx(1e-3, rel=0.07)] * 2)
+            for memory in (tracks, others):
+                follow(memory, now, np.eye(3), place, misfit=misfit if k else 40.0 * misfit)
+    for memory in (tracks, others):
+        # One odd frame hardly counts.
+        assert memory.learned_at(12 * BLOCK_NS)[0] == pytest.approx(4e-4, rel=0.07)
+
+
+def test_a_block_with_few_sightings_goes_on() -> None:
+    tracks = Tracks.none(1)
+    for k in range(2 * LEAST_SIGHTINGS):
+        now = 5 * BLOCK_NS + k * BLOCK_NS // 4
+        full = -(-LEAST_SIGHTINGS // 4) * 4  # of the sightings, four in a block, so many end one
+        assert (tracks.learned_at(now)[0] > 0.0) == (k >= full)
+        follow(tracks, now, np.eye(3), np.array([0.0, 0.0, 1.0]), misfit=1e-3)
+
+
+def test_evidence_of_frames_adds_up_as_far_as_their_errors_are_new() -> None:
+    assert remembered(6.0, 3.0, 1.0) == 6.0
+    assert remembered(6.0, 3.0, 0.0) == 3.0  # 6 in all: what the one that told most has told
+    assert remembered(2.0, 3.0, 0.0) == 0.0
+    assert remembered(6.0, 3.0, 0.5) == pytest.approx(4.5)
+    assert remembered(6.0, -3.0, 0.0) == 6.0  # what speaks against it counts in full
+    assert remembered(30.0, 0.0, 0.0) == OPEN

@@ -97,6 +97,7 @@ def frame_report() -> "pb.FrameReport":
     robot.points["tool"].z = 1.47
     robot.points["lamp"].x = 0.5
     message.robots.add(id="bravo", state=pb.LOST, reason="its constellation is not among the spots")
+    message.learned.led_misfit.extend([0.00025, 0.0])
     return message
 
 
