@@ -1,25 +1,44 @@
-"""LEDs under domes, traced exactly, with reflections: `python -m tests.measure.offset [--survey N] [--poses N]`.
+"""LEDs under domes and with chips in cups: `python -m tests.measure.offset [--survey N] [--poses N] [--cups]`.
 
 A surveyed film is rendered (tests/centres/rendering.py; every LED is seen where traced_leds.py says, 0.7 to 1.2
 m, 0 to 55 degrees, 1280x1024, f = 1400 px, noise of camera and light) and given to `asterism calibrate offset`; then
 other poses at 0.8 m and 45 degrees are rendered and located: LEDs without any offset, domes with the plain rig, domes
 with the rig that names led.yaml.
+
+``--cups``: LEDs with chip and reflector cup instead (cup_leds.py), of several builds; N surveyed poses and N others,
+0.8 to 1.5 m, 0 to 57 degrees, every LED rendered and centred; errors of the others by the offset learned, and NEES.
 """
 
 import argparse
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from asterism.protocol.geometry import Floats, Pose, angle_between
 from asterism.protocol.rig import Rig, load_rig
+from asterism.server.calibration.leds.labelled import solve_sightings
+from asterism.server.calibration.survey.offset import calibrate_offset, with_offset
+from asterism.server.calibration.survey.surveyed_fit import errors_of, weighted_errors
+from tests.calibration.survey.cup_films import cup_pairs
+from tests.calibration.survey.cup_leds import CupLed
 from tests.calibration.survey.surveys import Apparent, write_frames, write_rig, write_survey
 from tests.calibration.survey.traced_leds import DOME, WINDOW, seen_at
 from tests.chain.frames import alone, draw, estimates
 from tests.helpers import facing_pose
+from tests.rigs import make_camera, make_rig
 from tests.servers import asterism
+
+CUPS = {
+    "clear, chip 1.45 mm deep": CupLed(),
+    "clear, chip 2.55 mm deep": CupLed(rim=2.0e-3, deep=0.7e-3),
+    "clear, chip 0.85 mm deep": CupLed(rim=0.4e-3),
+    "clear, wide cup": CupLed(rim=1.2e-3, deep=0.5e-3, wide=1.2e-3, narrow=0.6e-3),
+    "dull cup": CupLed(rim=1.2e-3, dull=0.25, mirror=0.5),
+    "3 mm": CupLed(1.5e-3, 0.8e-3, 0.35e-3, 0.5e-3, 0.25e-3, 0.11e-3, 0.1e-3, 2e-3),
+}
 
 
 def main() -> int:
@@ -28,7 +47,10 @@ def main() -> int:
     parser.add_argument("--survey", type=int, default=120, help="surveyed frames")
     parser.add_argument("--poses", type=int, default=200, help="other frames, at 0.8 m and 45 degrees")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--cups", action="store_true", help="LEDs with chip and cup instead")
     options = parser.parse_args()
+    if options.cups:
+        return _cups(options.survey, options.poses, options.seed)
     covers = (
         ("dome", DOME),
         ("window", WINDOW),
@@ -60,6 +82,25 @@ def main() -> int:
         _errors("domes, not compensated", rig, rig, poses, apparent, options.seed)
         left = _errors("domes, compensated", rig, compensated, poses, apparent, options.seed)
         print(f"compensated over no offset: x {left[0] / floor[0]:.3f}, y {left[1] / floor[1]:.3f}\n")
+    return 0
+
+
+def _cups(survey: int, count: int, seed: int) -> int:
+    rig = make_rig(1, seed=3, camera=replace(make_camera(), distortion=np.zeros(5)))
+    for name, led in CUPS.items():
+        rng = np.random.default_rng([seed, 7])
+        films = [[facing_pose(rng, (0.8, 1.5), (0.0, 57.0)) for _ in range(n)] for n in (survey, count)]
+        learned, others = (cup_pairs(rig, poses, led, rng) for poses in films)
+        found = calibrate_offset(rig, learned, name)
+        given = with_offset(rig, found.offset)
+        solved = solve_sightings(given, [sighting for sighting, _ in others])
+        away, squared = errors_of(others, given, solved)[0], weighted_errors(others, given, solved)
+        before = errors_of(others, rig, solve_sightings(rig, [sighting for sighting, _ in others]))[0]
+        told = [", ".join(f"{x:.3f}" for x in 1e3 * np.sqrt(np.nanmean(e**2, axis=0))) for e in (before, away)]
+        print(
+            f"{name}: {len(learned)} surveyed, {len(others)} others; RMS x, y, z {told[0]} mm before, {told[1]} mm "
+            f"after; NEES {np.nanmean(squared):.1f} mean, {np.nanmedian(squared):.1f} median"
+        )
     return 0
 
 

@@ -41,7 +41,8 @@ NARROW = 1.15  # farthest over nearest distance below which what changes with it
 FAR_OFF = 9.0  # times chi squared per number: the survey or the sighting is wrong
 MOST_LEFT_OUT = 0.5
 ROUNDS = 3
-# Scatter beyond what the fit says, px, tried until the errors of poses held out are no larger than their covariances.
+# Scatter beyond what the fit says, px, tried until the errors of poses held out are no larger than their covariances,
+# by one standard error, since few poses may be lucky.
 MORE_SCATTER_PX = (0.0, 0.003, 0.005, 0.007, 0.01, 0.014, 0.02, 0.028, 0.04, 0.056, 0.08, 0.11, 0.15)
 POSE = 6  # numbers
 STRANGE_SHARE = 0.98  # of the LEDs' spots, whose strange light is counted as their own
@@ -122,7 +123,7 @@ def calibrate_offset(rig: Rig, pairs: Pairs, film: str) -> OffsetCalibration:
     for more in MORE_SCATTER_PX:
         wider = spread._replace(scatter=math.hypot(spread.scatter, more))
         after, weighted, chi2 = _held_out(survey, linear, spread, wider, used, folds)
-        if float(np.nanmean(weighted[used])) <= POSE:
+        if _at_most(weighted[used]) <= POSE:
             break
     spread = wider
     offset = survey.offset(found, spread, used)
@@ -133,6 +134,11 @@ def calibrate_offset(rig: Rig, pairs: Pairs, film: str) -> OffsetCalibration:
     return OffsetCalibration(
         offset, spread, sigmas, used, angles, distances, before, after, weighted, helps, told_distance
     )
+
+
+def _at_most(squared: Floats) -> float:
+    """The mean of squared errors (n,) and one standard error of it."""
+    return float(np.nanmean(squared) + np.nanstd(squared) / math.sqrt(max(np.isfinite(squared).sum(), 1)))
 
 
 def _fitted(survey: _Survey) -> tuple[Linear, Found, Spread, NDArray[np.bool_]]:
