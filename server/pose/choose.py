@@ -201,6 +201,6 @@ def choose(matched, exposed_ns, solutions, heights, mounts, tracks, choices):
         height = median_of(heights, matched.assignment[k])
         seen = LastSeen(
             rotations[chosen], ts[chosen], covariances[chosen], height, rotations[other], has_other, evidence,
-            solutions.misfits[k, MISFIT],
+            solutions.misfits[k, MISFIT], solutions.misfits[k, NOISE_SHARE],
         )  # fmt: skip
         follow_track(tracks, robot, exposed_ns, seen)

@@ -95,6 +95,17 @@ def odd_led(layout, labels, measured, shifts, start, start_t, focal, known2):
     both, both_t, both_costs = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty(2)
     best_led, best_cost, whole_cost = -1, NO_SOLUTION, NO_SOLUTION
     best_unlikely = whole_unlikely = NO_SOLUTION
+    if known2 > (LEAST_KNOWN_PX / focal) ** 2:
+        # Six that fit as well as they did before are no surprise.
+        count = gather(layout, labels, measured, shifts, known2, focal, room, centre)
+        lit = first(room, count)
+        rotation[:, :] = start
+        for i in range(3):
+            t[i] = start_t[i]
+            for j in range(3):
+                t[i] += start[i, j] * centre[j]
+        if refine_pose(rotation, t, lit.points, lit.seen, lit.information, 5) <= _SURPRISE[min(count, LEDS)]:
+            return -1
     for without in range(-1, LEDS):
         trial[:] = labels
         if without >= 0:

@@ -36,6 +36,7 @@ POSITION_SIGMA, ROTATION_SIGMA, VELOCITY_SIGMA, TURN_SIGMA, HEIGHT, EVIDENCE, HA
 BLOCK_NS = 2_000_000_000  # of the time since the epoch
 LEAST_SIGHTINGS = 10  # of a robot in a block, before that the old value stays and the block goes on
 LEAST_MISFIT_M = 1e-6
+LEAST_SHARE = 0.01  # of a pose's variance that is new in the next frame
 # Columns of `misfits`: the value in force (0: nothing is known), that of the newest frame, of the block at hand the sum
 # of the logarithms and the count, and which block it is.
 KNOWN, NEWEST, LOG_SUM, SIGHTINGS, BLOCK = range(5)
@@ -181,7 +182,8 @@ def tilt_cost(tracks, robot, exposed_ns, rotation):
 class LastSeen(NamedTuple):
     """A robot's pose in a frame: ``rotation`` (3, 3) and ``t`` (3,) m of T_camera_plane, with ``covariance`` (6, 6);
     ``height`` of its spots, grey levels; ``other_rotation`` (3, 3), its other tilt if it ``has_other``; ``evidence``,
-    the log odds of its tilt, memory included; ``misfit``, m, what its residuals say of its LEDs.
+    the log odds of its tilt, memory included; ``misfit``, m, what its residuals say of its LEDs, and ``noise_share``,
+    which share of the spots' variance is their own noise.
     """
 
     rotation: Any
@@ -192,6 +194,7 @@ class LastSeen(NamedTuple):
     has_other: bool
     evidence: float
     misfit: float
+    noise_share: float
 
 
 @compiled
@@ -200,12 +203,21 @@ def follow_track(tracks, robot, exposed_ns, seen):
     covariance, t = seen.covariance, seen.t
     position_variance = max(covariance[0, 0], covariance[1, 1], covariance[2, 2])
     rotation_variance = max(covariance[3, 3], covariance[4, 4], covariance[5, 5])
+    # What the rig has wrong moves the pose likewise in the next frame.
+    share = max(seen.noise_share, LEAST_SHARE)
+    position_variance, rotation_variance = share * position_variance, share * rotation_variance
     known, velocity, turn = tracks.numbers[robot], tracks.velocities[robot], tracks.turns[robot]
     velocity_sigma, turn_sigma = UNKNOWN_SPEED, UNKNOWN_TURN
     if is_fresh(tracks.seen_ns[robot], exposed_ns):
         dt = (exposed_ns - tracks.seen_ns[robot]) * 1e-9
         turned = np.empty(3)
-        log_between(tracks.rotations[robot], seen.rotation, turned)
+        before = tracks.rotations[robot]
+        if known[HAS_OTHER] > 0.0:
+            # Where the tilt is open it may be the other one this time: the robot has not turned so far.
+            other = tracks.other_rotations[robot]
+            if angle_between(other, seen.rotation) < angle_between(before, seen.rotation):
+                before = other
+        log_between(before, seen.rotation, turned)
         gain = 1.0 if known[VELOCITY_SIGMA] >= UNKNOWN_SPEED else VELOCITY_GAIN
         for i in range(3):
             velocity[i] += gain * ((t[i] - tracks.ts[robot, i]) / dt - velocity[i])

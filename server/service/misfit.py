@@ -80,4 +80,4 @@ class Misfits:
             seen.append(answer.residuals_px.ravel())
             expected.append(bent.ravel())
         a, b = np.concatenate(seen), np.concatenate(expected)
-        return float(abs(a @ b) / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-12))
+        return abs(float(a @ b)) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12)

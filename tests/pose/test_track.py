@@ -32,7 +32,7 @@ COVARIANCE = np.diag([1e-8] * 3 + [1e-6] * 3)
 def follow(
     tracks: Tracks, now_ns: int, rotation: np.ndarray, t: np.ndarray, evidence: float = 3.0, misfit: float = 0.0
 ) -> None:
-    follow_track(tracks, 0, now_ns, LastSeen(rotation, t, COVARIANCE, 170.0, np.eye(3), True, evidence, misfit))
+    follow_track(tracks, 0, now_ns, LastSeen(rotation, t, COVARIANCE, 170.0, np.eye(3), True, evidence, misfit, 1.0))
 
 
 def predicted(tracks: Tracks, now_ns: int) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:

@@ -53,7 +53,7 @@ class TolerantSearch:
         variances = 0.5 * (covariances[:, 0] + covariances[:, 2])
         free = np.ones(len(rows), np.bool_)
         spots = Spots(flat, rays, variances, blobs.heights[rows], blobs.radii_px[rows], free)
-        found, _ = find(spots, coarse, np.zeros(1, np.bool_))
+        found, _ = find(spots, coarse, np.zeros(1, np.bool_), np.zeros(1))
         if not found:
             return None
         _, labels, rotation, t = found[0]
