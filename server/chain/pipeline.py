@@ -68,7 +68,7 @@ def _part_leaning(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Mat
     """Centre those robots' spots anew that other light leans on: in the blobs and in the rays."""
     if not np.count_nonzero(blobs.table[:, SHOULDER]):
         return
-    claimed = seen.rows[found.assignment[found.assignment >= 0]]
+    claimed = np.where(found.assignment >= 0, seen.rows[found.assignment], -1)
     if refine_leaning(image, blobs.table, claimed, blobs.centres_px, blobs.covariances_px2):
         undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)
 
