@@ -74,7 +74,7 @@ def _part_leaning(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Mat
         return
     # What LEDs whose light is known are strange by is their own.
     leaning = found.assignment[~plan.has_scatter[found.robots]]
-    claimed = seen.rows[leaning[leaning >= 0]]
+    claimed = np.where(leaning >= 0, seen.rows[leaning], -1)
     if refine_leaning(image, blobs.table, claimed, blobs.centres_px, blobs.covariances_px2):
         undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)
 

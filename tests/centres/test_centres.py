@@ -150,7 +150,7 @@ def test_a_dim_mirror_image_beside_an_led_is_said_or_removed(rng: np.random.Gene
         error = blobs.centres_px[row] - [x, y]
         sigma = np.sqrt(blobs.covariances_px2[row, 0])
         before.append(np.abs(error).max() / sigma)
-        refine_leaning(image, blobs.table, np.array([row]), blobs.centres_px, blobs.covariances_px2)
+        refine_leaning(image, blobs.table, np.array([[row]]), blobs.centres_px, blobs.covariances_px2)
         after.append(np.abs(blobs.centres_px[row] - [x, y]).max())
     assert np.percentile(before, 90) < 4.0
     assert np.median(after) < 0.08
@@ -168,7 +168,7 @@ def test_a_lone_led_is_not_moved_by_light_that_is_not_there() -> None:
             places.append((x, y))
         image = canvas.expose(draws)
         blobs = blobs_of(image)
-        refine_leaning(image, blobs.table, blobs.kept, blobs.centres_px, blobs.covariances_px2)
+        refine_leaning(image, blobs.table, blobs.kept[:, None], blobs.centres_px, blobs.covariances_px2)
         for x, y in places:
             worst = max(worst, np.hypot(*(blobs.centres_px[blobs.kept] - [x, y]).T).min())
     assert worst < 0.08  # five sigma of 0.015 px

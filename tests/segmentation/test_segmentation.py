@@ -157,7 +157,7 @@ def test_touching_leds_are_split(rng: np.random.Generator, gap: float) -> None:
     blobs = blobs_of(image)
     assert len(blobs.kept) == 2
     np.testing.assert_allclose(sorted(blobs.centres_px[blobs.kept, 0]), [50.2, 50.2 + gap], atol=0.5)
-    refine_leaning(image, blobs.table, blobs.kept, blobs.centres_px, blobs.covariances_px2)
+    refine_leaning(image, blobs.table, blobs.kept[:, None], blobs.centres_px, blobs.covariances_px2)
     np.testing.assert_allclose(sorted(blobs.centres_px[blobs.kept, 0]), [50.2, 50.2 + gap], atol=0.15)
 
 

@@ -1,7 +1,7 @@
-"""The model of a spot that other light leans on: two blurred ellipses on a plane, pixel by pixel.
+"""The model of a spot that other light leans on: blurred ellipses on a plane, pixel by pixel; the first is the spot.
 
-The other light is an ellipse of its own: the spot's image in a polished floor or another LED is the same disc, dimmer;
-a glint is a long one; light that is spread widely (a halo, a lamp behind) is a small one with a wide blur.
+The others are ellipses of their own: the spot's image in a polished floor or another LED is the same disc, dimmer; a
+glint is a long one; light that is spread widely (a halo, a lamp behind) is a small one with a wide blur.
 """
 
 import math
@@ -10,11 +10,14 @@ from asterism.server.centres.blurred_ellipse import REACH32, distance_to_ellipse
 from asterism.server.compiled import compiled_sums
 from asterism.server.segmentation.pixels import COUNTS, GREY, LANES, ONE, PX, PY, TWO, ZERO, f32
 
-# Parameters: centre (px from the window's middle), rise, semi-axes, angle and blur of the spot and of the other light;
-# the plane at the window's middle.
-X1, Y1, RISE1, A1, B1, TURN1, BLUR1, X2, Y2, RISE2, A2, B2, TURN2, BLUR2, BASE, SLOPE_U, SLOPE_V = range(17)
-SECOND = X2  # where the other's begin
-PARAMETERS = 17
+# Parameters: the plane, at the window's middle; then of every light the centre (px from there), rise, semi-axes, angle
+# and blur.
+BASE, SLOPE_U, SLOPE_V = range(3)
+PLANE = 3
+CX, CY, RISE, SEMI_U, SEMI_V, TURN, BLUR = range(7)
+OF_A_LIGHT = 7
+MOST_LIGHTS = 3
+PARAMETERS = PLANE + MOST_LIGHTS * OF_A_LIGHT  # at most
 # Rows of the table of pixels that `look` fills: derivatives by the parameters, residual and weight.
 RESIDUAL, WEIGHT = PARAMETERS, PARAMETERS + 1
 ROWS = PARAMETERS + 2
@@ -50,8 +53,8 @@ def _ellipse(pixels, count, p, first, table):
 
 
 @compiled_sums
-def look(pixels, count, p, floor, gain, table):
-    """Fill the ``table`` (ROWS, capacity) of the first ``count`` pixels at parameters ``p`` (PARAMETERS,).
+def look(pixels, count, lights, p, floor, gain, table):
+    """Fill the ``table`` (ROWS, capacity) of the first ``count`` pixels at parameters ``p`` of so many lights.
 
     ``floor`` and ``gain`` make the pixels' variances, floor + gain * light.
     """
@@ -59,8 +62,8 @@ def look(pixels, count, p, floor, gain, table):
     base, slope_u, slope_v = f32(p[BASE]), f32(p[SLOPE_U]), f32(p[SLOPE_V])
     read, shot = f32(floor), f32(gain)
     table[RESIDUAL, :count] = ZERO
-    _ellipse(pixels, count, p, X1, table)
-    _ellipse(pixels, count, p, SECOND, table)
+    for light in range(lights):
+        _ellipse(pixels, count, p, PLANE + light * OF_A_LIGHT, table)
     residuals, weights = table[RESIDUAL], table[WEIGHT]
     for i in range(count // LANES * LANES):
         table[BASE, i] = ONE
@@ -75,8 +78,8 @@ def look(pixels, count, p, floor, gain, table):
 
 
 @compiled_sums
-def add_up(table, count, n, r):
-    """Fill the lower triangle of the normal matrix ``n`` (PARAMETERS, PARAMETERS) and ``r`` (PARAMETERS,).
+def add_up(table, count, parameters, n, r):
+    """Fill the lower triangle of the normal matrix ``n`` and the right side ``r`` of so many ``parameters``.
 
     Returns chi squared, the squared residuals without weights, and the number of pixels that count.
     """
@@ -87,7 +90,7 @@ def add_up(table, count, n, r):
         chi2 += weights[i] * residuals[i] * residuals[i]
         plain += here * residuals[i] * residuals[i]
         number += here
-    for k in range(PARAMETERS):
+    for k in range(parameters):
         by_k = table[k]
         total = ZERO
         for i in range(count // LANES * LANES):
