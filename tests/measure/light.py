@@ -1,8 +1,9 @@
 """Centres under any lens, at any brightness, against what physics allows: `python -m tests.measure.light [OUT.png]`.
 
-Frames of six ellipses of aspect 0.85, at random phases and angles, rendered exactly (tests/centres/lenses.py), segmented
-and centred as the chain does it. "peak": grey levels of the spot's middle above the background, clipped at 255. "x" is
-the root mean square error of a coordinate over the Cramer-Rao bound of the true lens's model; NEES is the squared error
+Frames of six ellipses of aspect 0.85, at random phases and angles, rendered exactly (tests/centres/lenses.py), then
+segmented and centred as the chain does it. "peak": grey levels of the spot's middle above the background, clipped at
+255. "x" is the root mean square error of a coordinate over the Cramer-Rao bound of the true lens's model; NEES is the
+squared error
 weighted by the covariance, over the 2 that are expected: less than 1 is modest, more is boastful. The last table is of
 light that is not symmetric: there the covariance is to grow with the error. OUT.png receives a plot of NEES against
 brightness.
