@@ -128,7 +128,7 @@ def version_of(layout, extent, labels, spots, focal, sigma_px, robots, version):
     if which < 0 or chi2 >= NO_SOLUTION:
         return -np.inf, 0.0
     variances_px2 = sigma_px**2 + spots.variances * focal**2
-    height, extent_px = median_of(spots.heights, labels), extent * focal / room.ts[which, 2]
+    height, extent_px = median_of(spots.heights, labels), extent * focal / distance(room.ts[which])
     around, area = surroundings(spots.flat, spots.heights, spots.free, labels, height, extent_px)
     version.labels[:] = labels
     version.rotation[:, :] = room.rotations[which]

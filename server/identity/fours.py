@@ -28,7 +28,7 @@ FOUR_SEEN = 0.05  # of the robots that are sought show four LEDs
 LEAST_CHANCE = 0.01  # groups of four strange lights are expected at least, whatever else is in the frame
 SIZE_SPREAD, KNOWN_SIZE_SPREAD = 0.15, 0.025  # of an LED's size, logarithm: by the rig; by robots in the same frame
 SIZES_AGREE = 0.1  # up to such a difference of that logarithm
-ODD_SIZE = -3.0  # log odds: what a size unlike those of the frame's other robots costs at most
+WIDEST = 0.4  # extent over distance: in stronger perspective chance spots are four LEDs in more ways than WAYS says
 SEVERAL = 3  # fits that agree tell what is typical
 DOUBT = "four of its LEDs may be seen, but others or chance explain them nearly as well"
 
@@ -130,6 +130,8 @@ def _refitted(robot: int, labels: NDArray[np.int64], sigma_px: float, spots: Spo
     if which < 0 or chi2 > CHI2[count]:
         return []
     rotation, t = room.rotations[which], room.ts[which]
+    if plan.extents[robot] > WIDEST * float(np.linalg.norm(t)):
+        return []
     height = median_of(spots.heights, labels)
     around, area = surroundings(
         spots.flat,
@@ -166,9 +168,7 @@ def _odds(four: _Four, sigma_px: float, size: tuple[float, float], plan: Plan, r
     if math.isfinite(four.size):
         typical, spread = size
         off = (four.size - typical) / spread
-        # What only the rig says of an LED's size may be wrong, and then says nothing.
-        least = ODD_SIZE if spread == KNOWN_SIZE_SPREAD else 0.0
-        value += max(_of_its_size(plan, spread) - 0.5 * off * off, least)
+        value += _of_its_size(plan, spread) - 0.5 * off * off
     return value
 
 

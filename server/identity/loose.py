@@ -145,11 +145,11 @@ def _fits(spots: Spots, plan: Plan, misfits: Floats, wanted: NDArray[np.bool_]) 
     left = Counter[int]()
     for fits in (claims, pending):
         for k in np.argsort(fits.values[:, COST], kind="stable"):
-            robot, labels, depth_m = int(fits.values[k, ROBOT]), fits.spots[k], float(fits.ts[k, 2])
+            robot, labels, away_m = int(fits.values[k, ROBOT]), fits.spots[k], float(np.linalg.norm(fits.ts[k]))
             left[robot] += 1
             if left[robot] > EACH or (fits is pending and taken & set(labels.tolist())):
                 continue
-            per_px = depth_m / plan.focal
+            per_px = away_m / plan.focal
             if scored := _scored(robot, labels, spots, plan, float(misfits[robot]) / per_px):
                 cost_px = math.sqrt(float(fits.values[k, COST])) * tolerance_px(plan)
                 safe = FARTHER_BELOW * cost_px * per_px <= plan.separations[robot]
@@ -161,7 +161,7 @@ def _fits(spots: Spots, plan: Plan, misfits: Floats, wanted: NDArray[np.bool_]) 
 def _size(spots: Spots, plan: Plan, robot: int, labels: Ints, rotation: Floats, t: Floats) -> float:
     """Logarithm of the spots' radii over those of the robot's LEDs at its pose; nan if the rig does not say theirs."""
     facing = -float(rotation[:, 2] @ t) / float(np.linalg.norm(t))
-    expected = plan.led_radii[robot] * plan.focal / t[2] * math.sqrt(max(facing, 1e-3))
+    expected = plan.led_radii[robot] * plan.focal / float(np.linalg.norm(t)) * math.sqrt(max(facing, 1e-3))
     return float(np.log(median_of(spots.radii, labels) / expected))
 
 

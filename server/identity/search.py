@@ -30,7 +30,7 @@ from asterism.server.identity.neighbours import (
     nearest_neighbours,
 )
 from asterism.server.identity.perspective import View
-from asterism.server.identity.plan import MOST_TILT, Plan
+from asterism.server.identity.plan import MOST_TILT, NEARER, WIDEST, Plan
 from asterism.server.identity.quads import LookedUp, QuadTable, look_up, room_to_look_up
 from asterism.server.pose.fit import CHI2, LEDS, SYSTEMATIC_PX, FitRoom, fit_labelled, fit_room, median_of, misfit
 from asterism.server.pose.sphere import distance, project, touch
@@ -325,7 +325,8 @@ def searched(
     """Claims and hypotheses of a search, cut to what there is."""
     sought = Sought(plan.layouts, plan.separations, claimed, brightness, plan.quads)
     extent = float(plan.extents.max())
-    limits = Limits(plan.focal, plan.near, plan.far, MOST_TILT, plan.reach, extent, fewest, alone, tolerance)
+    near = max(plan.near, float(plan.extents.min()) / (WIDEST * NEARER))
+    limits = Limits(plan.focal, near, plan.far, MOST_TILT, plan.reach, extent, fewest, alone, tolerance)
     results = Results(Fits.room(MOST_CLAIMS), Fits.room(MOST_PENDING))
     search(spots, sought, limits, results)
     return results.claims.held(), results.pending.held()

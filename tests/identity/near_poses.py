@@ -13,7 +13,7 @@ from asterism.server.pose.lens import project_point, undistort
 from tests.rigs import random_layouts
 
 LED_RADIUS = 0.0025  # m, the true one
-EDGE_PX = 5.0  # LEDs nearer to the image's edge are cut
+EDGE_PX = 14.0  # LEDs nearer to the image's edge may be cut
 LENSES = {
     "wide": Camera(
         "wide", 960, 600, np.array([[450.0, 0, 482.3], [0, 450.0, 296.9], [0, 0, 1.0]]), "plumb_bob",
@@ -91,9 +91,10 @@ def spots_at(
             facing = -float(leds[led] @ pose.rotation[:, 2]) / away[led]
             radii.append(LED_RADIUS * plan.focal / away[led] * np.sqrt(facing) * rng.uniform(0.97, 1.03))
             heights.append(170.0 * facing * rng.uniform(0.85, 1.15))
+    lamps = np.concatenate([places for _, _, places in seen])  # the hidden ones too: light in their place is theirs
     while clutter:
         place = rng.uniform(0, 1, 2) * [plan.rig.camera.width, plan.rig.camera.height]
-        if np.hypot(*(np.array(pixels) - place).T).min() > 8.0 and np.isfinite(ray_at(plan, place)).all():
+        if np.hypot(*(lamps - place).T).min() > 8.0 and np.isfinite(ray_at(plan, place)).all():
             owners.append((-1, -1))
             pixels.append(place)
             radii.append(rng.uniform(1.5, 5.0))
