@@ -80,6 +80,7 @@ EVENNESS = 0.004  # of a spot's light: how uneven the model's own error leaves w
 LIT_PARAMETERS = 7.0  # that lit pixels determine; with a profile of the spot's own
 LIT_PROFILE_PARAMETERS = 14.0
 FREE_FROM = 1.3  # chi squared per degree of freedom from which on the spot gets a profile of its own
+FREE_RAMP = 0.3  # more, from which on it counts in full
 
 
 class EdgeRoom(NamedTuple):
@@ -191,8 +192,13 @@ def fit_edge_model(image, spot, neighbours, gain, room, out):
     xx, xy, yy, told = improve_centre(sums, p)
     misfit = sums[CHI2] / max(sums[COUNT] - PARAMETERS, 1.0)
     fit = Freed(xx, xy, yy, told, misfit, 0.0, LIT_PARAMETERS)
+    beyond = 0.0
     if misfit > FREE_FROM or fitted.softness > 0.0:
+        # From none to all of it, so that noise next to the limit makes no two verdicts.
+        share = 1.0 if fitted.softness > 0.0 else min((misfit - FREE_FROM) / FREE_RAMP, 1.0)
+        x, y = p[CX], p[CY]
         fit = _free(n, p, fitted, room)
+        p[CX], p[CY], beyond = x + share * (p[CX] - x), y + share * (p[CY] - y), share * fit.beyond
     det = fit.xx * fit.yy - fit.xy * fit.xy
     x, y = p[CX] + 0.5 * (spot[WX0] + spot[WX1] - 1.0), p[CY] + 0.5 * (spot[WY0] + spot[WY1] - 1.0)
     a, b = spot[SEMI_A], spot[SEMI_B]
@@ -211,4 +217,4 @@ def fit_edge_model(image, spot, neighbours, gain, room, out):
     lit_pixels = sums[LIT_1] * sums[LIT_1] / max(sums[LIT_2], 1e-12)
     left = max(1.0 - fit.parameters / max(lit_pixels, 1e-9), 0.3)
     out[7], out[8] = sums[LIT_FOUND] / left - sums[LIT_READ], sums[LIT_2]
-    out[9] = fit.beyond
+    out[9] = beyond
