@@ -117,11 +117,13 @@ def is_frontal(rotation, t, covariance, valley):
     """Whether a pose, its ``covariance`` (6, 6), may be of another tilt than its minimum says. Fills the axes."""
     axes = valley.axes
     sine = _fill_axes(rotation, t, axes)
-    # Tilted along the first axis it turns about the second.
-    variance = 0.0
+    # Along its tilt or across it, whichever is known less.
+    along = across = 0.0
     for i in range(3):
         for j in range(3):
-            variance += axes[1, i] * covariance[3 + i, 3 + j] * axes[1, j]
+            along += axes[1, i] * covariance[3 + i, 3 + j] * axes[1, j]
+            across += axes[0, i] * covariance[3 + i, 3 + j] * axes[0, j]
+    variance = max(along, across)
     return sine < WIDEST and sine * sine < FRONTAL * variance
 
 
@@ -313,13 +315,23 @@ def _reach(x, y, valley):
 @compiled
 def look_around(x, y, valley):
     """Fill the ``coarse`` costs about the tilt (x, y) of a minimum, to be read by the others; the step of the grid."""
-    step = _reach(x, y, valley) / COARSE
-    for i in range(2 * COARSE + 1):
-        a, b, c, d, e = along_y(valley.cost, (i - COARSE) * step)
-        for j in range(2 * COARSE + 1):
-            at = (j - COARSE) * step
-            valley.coarse[i, j] = a + at * (b + at * (c + at * (d + at * e)))
-    return step
+    limit = value_at(valley.cost, x, y) + DOUBT
+    reach = _reach(x, y, valley)
+    last = 2 * COARSE
+    while True:
+        step = reach / COARSE
+        for i in range(last + 1):
+            a, b, c, d, e = along_y(valley.cost, (i - COARSE) * step)
+            for j in range(last + 1):
+                at = (j - COARSE) * step
+                valley.coarse[i, j] = a + at * (b + at * (c + at * (d + at * e)))
+        edge = valley.coarse[0, 0]
+        for i in range(last + 1):
+            edge = min(edge, valley.coarse[i, 0], valley.coarse[i, last], valley.coarse[0, i], valley.coarse[last, i])
+        # Near by, the perspective may move the middle of the valley away from the line of sight.
+        if edge > limit or reach >= WIDEST:
+            return step
+        reach = min(1.5 * reach, WIDEST)
 
 
 @compiled
