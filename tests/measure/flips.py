@@ -2,8 +2,9 @@
 
 Poses of one robot each, cold, no prior, with noise on the spots that the solver knows, and in the last rows LEDs that
 lie 0.05 mm off what the rig says, which it does not. Wrong: nearer the other tilt and more than 5 degrees off. Printed:
-how many are flagged TILT_AMBIGUOUS, how many of those are wrong, how many others are (silent), and that per thousand
-of the poses that are not flagged. `tests.measure.honesty` counts the same in rendered frames.
+how many are flagged TILT_AMBIGUOUS, how many of those are wrong, how many others are and lie beyond their covariance
+(silent), and that per thousand of the poses that are not flagged. `tests.measure.honesty` counts the same in rendered
+frames.
 """
 
 import sys
@@ -14,7 +15,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from asterism.protocol.geometry import Floats
+from asterism.protocol.geometry import Floats, log_rotation
 from asterism.server.chain.answers import SURE
 from asterism.server.pose.lens import lens_of
 from asterism.server.pose.linear_pose import pose_by_homography
@@ -23,6 +24,7 @@ from asterism.server.pose.solve import Solutions, solve_robots
 from asterism.server.pose.spot_shift import OPTICS
 from tests.chain.judging import TILTED_RAD
 from tests.helpers import facing_pose
+from tests.measure.silent import FAR
 from tests.rigs import make_camera, random_layout
 
 LAYOUTS = 200
@@ -66,13 +68,18 @@ def count_flips(
     )
     solve_robots(lens_of(camera), constellations, matched, measured, solutions)
     told = np.zeros(4)
-    for pose, both, (first, second) in zip(poses, solutions.rotations, solutions.costs, strict=True):
-        found = both[0 if first <= second else 1][:, 2]
+    for k, pose in enumerate(poses):
+        first, second = solutions.costs[k]
+        best = 0 if first <= second else 1
+        rotation = solutions.rotations[k, best]
+        found = rotation[:, 2]
         flagged = abs(first - second) < 2.0 * np.log(SURE)
         sight, normal = pose.position / np.linalg.norm(pose.position), pose.rotation[:, 2]
         mirrored = 2.0 * (normal @ sight) * sight - normal
         wrong = found @ mirrored > found @ normal and np.arccos(min(found @ normal, 1.0)) > TILTED_RAD
-        told += [1, flagged, wrong and flagged, wrong and not flagged]
+        error = np.append(solutions.ts[k, best] - pose.position, log_rotation(rotation @ pose.rotation.T))
+        beyond = error @ np.linalg.solve(solutions.covariances[k, best], error) > FAR
+        told += [1, flagged, wrong and flagged, wrong and not flagged and beyond]
     return told
 
 
