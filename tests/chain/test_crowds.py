@@ -68,7 +68,7 @@ def test_every_rejected_spot_is_counted_by_name_and_the_robots_are_found(rng: np
         elif kind == "streak":
             canvas.streak(u, v, 22, rng.uniform(0, np.pi))
         elif kind == "large":
-            canvas.ellipse(u, v, 20)
+            canvas.ellipse(u, v, 31)
         elif kind == "ring":
             for angle in np.arange(0, 2 * np.pi, 0.12):
                 canvas.ellipse(u + 6 * np.cos(angle), v + 6 * np.sin(angle), 0.9, level=80)
@@ -83,8 +83,9 @@ def test_every_rejected_spot_is_counted_by_name_and_the_robots_are_found(rng: np
     assert counts["LED"] == 18
     for reason in ("ELONGATED", "MASKED", "AT_EDGE", "MISSHAPEN"):
         assert counts[reason] == 4, counts
-    # The lamp may be too large as well, what stands out of its slope too small or too faint.
-    assert counts["TOO_LARGE"] in (4, 5), counts
+    # The lamp may be too large as well, what stands out of its slope too small or too faint. What is large is looked
+    # into, and what is found in it told beside it.
+    assert 4 <= counts["TOO_LARGE"] <= 10, counts
     assert counts["TOO_SMALL"] >= 4, counts
     assert counts["TOO_FAINT"] >= 1, counts
     assert sum(counts.values()) == len(result.blobs)
