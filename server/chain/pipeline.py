@@ -8,6 +8,7 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import Rig
 from asterism.server.centres.blobs import Blobs, find_blobs
+from asterism.server.centres.common_light import find_common_light
 from asterism.server.centres.leaning_spots import refine_leaning
 from asterism.server.chain.answers import answers_of
 from asterism.server.chain.frame import Frame, FrameResult
@@ -15,8 +16,9 @@ from asterism.server.identity.identify import identify
 from asterism.server.identity.plan import Plan, plan_for
 from asterism.server.identity.rays import Rays, rays_of
 from asterism.server.pose.choose import Choices, choose
+from asterism.server.pose.common_shift import add_common_shifts
 from asterism.server.pose.led_doubt import own_scatter
-from asterism.server.pose.lens import undistort
+from asterism.server.pose.lens import FX, undistort
 from asterism.server.pose.matched import Matched, Measured
 from asterism.server.pose.rolling import Setup, at_own_rows, solve_rolling
 from asterism.server.pose.solve import Solutions, solve_robots
@@ -38,11 +40,12 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     matches = identify(seen, plan, _at_own_rows(known, frame, plan), frame.exposed_ns)
     _part_leaning(image, blobs, seen, matches.found, plan)
     _take_scatter(blobs, seen, matches.found, plan)
+    commons = _common_shifts(image, blobs, seen, matches.found, plan)
     if plan.shutter is None:
-        solutions = _solve(blobs, seen, matches.found, plan, learned)
+        solutions = _solve(blobs, seen, matches.found, plan, learned, commons)
         choices = _choose(frame, seen, matches.found, solutions, plan, known)
     else:
-        solutions, choices, known = _solve_rolling(frame, blobs, seen, matches.found, plan, known)
+        solutions, choices, known = _solve_rolling(frame, blobs, seen, matches.found, plan, known, commons)
     answers = answers_of(plan, blobs, seen, matches, solutions, choices)
     return FrameResult(frame.index, frame.exposed_ns, blobs, answers, learned), known
 
@@ -92,11 +95,31 @@ def _take_scatter(blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> None:
         seen.covariances[rays] = undistorted[1]
 
 
-def _solve(blobs: Blobs, seen: Rays, found: Matched, plan: Plan, learned: Floats) -> Solutions:
+def _common_shifts(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> Floats:
+    """What light beside all LEDs of a robot may have moved their spots by together: covariances (m, 3) of rays.
+
+    LEDs whose light is known (`led.yaml`) have what they spill in what is known of them.
+    """
+    robots = np.where(found.assignment >= 0, seen.rows[found.assignment], -1)
+    robots[plan.has_scatter[found.robots]] = -1
+    commons = np.empty((len(robots), 3))
+    find_common_light(image, blobs.table, robots, blobs.centres_px, blobs.covariances_px2, commons)
+    some = np.flatnonzero(commons[:, 0])
+    if len(some):
+        # Where each is seen: at one of its LEDs.
+        places = np.ascontiguousarray(blobs.centres_px[robots[some].max(axis=1)])
+        rays = np.empty((len(some), 3))
+        undistort(plan.lens, places, commons[some], np.empty_like(places), rays)
+        commons[some] = rays
+    return commons
+
+
+def _solve(blobs: Blobs, seen: Rays, found: Matched, plan: Plan, learned: Floats, commons: Floats) -> Solutions:
     """Both minima of every matched robot. An LED whose spot turns out to be odd leaves the assignment."""
     measured = Measured(seen.rays, seen.covariances, blobs.centres_px[seen.rows])
     solutions = Solutions.room(len(found.ts), learned[found.robots])
     solve_robots(plan.lens, plan.constellations, found, measured, solutions)
+    add_common_shifts(plan.constellations, found, measured, commons, plan.lens[FX], solutions)
     return solutions
 
 
@@ -115,10 +138,10 @@ def _at_own_rows(known: Tracks, frame: Frame, plan: Plan) -> Tracks:
 
 
 def _solve_rolling(
-    frame: Frame, blobs: Blobs, seen: Rays, found: Matched, plan: Plan, known: Tracks
+    frame: Frame, blobs: Blobs, seen: Rays, found: Matched, plan: Plan, known: Tracks, commons: Floats
 ) -> tuple[Solutions, Choices, Tracks]:
     """Solutions and choices at mid-frame, of LEDs each of which was seen at its own row's time."""
     assert plan.shutter is not None
     measured = Measured(seen.rays, seen.covariances, blobs.centres_px[seen.rows])
     setup = Setup(plan.lens, plan.constellations, plan.mounts, plan.shutter)
-    return solve_rolling(setup, found, measured, seen.heights, frame.exposed_ns, known)
+    return solve_rolling(setup, found, measured, seen.heights, commons, frame.exposed_ns, known)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
 from asterism.server.pose.choose import Choices, Mounts, choose
+from asterism.server.pose.common_shift import add_common_shifts
 from asterism.server.pose.lens import FX, FY, project_point
 from asterism.server.pose.matched import LEAST_SIGMA_PX, Constellations, Matched, Measured
 from asterism.server.pose.motion import (
@@ -97,6 +98,7 @@ class _Frame(NamedTuple):
     setup: Setup
     measured: Measured
     heights: Floats
+    commons: Floats
     exposed_ns: int
     tracks: Tracks
     expected: Expected
@@ -122,12 +124,18 @@ class _Look(NamedTuple):
 
 
 def solve_rolling(
-    setup: Setup, found: Matched, measured: Measured, heights: Floats, exposed_ns: int, tracks: Tracks
+    setup: Setup,
+    found: Matched,
+    measured: Measured,
+    heights: Floats,
+    commons: Floats,
+    exposed_ns: int,
+    tracks: Tracks,
 ) -> tuple[Solutions, Choices, Tracks]:
     """Solve and choose as `solve_robots` and `choose` do, for mid-frame. Writes the tracks, and returns them with what
     is remembered of the robots' motion.
 
-    ``heights`` (n,) are those of the spots.
+    ``heights`` (n,) are those of the spots; ``commons`` (m, 3) as in `common_shift.add_common_shifts`.
     """
     tracks = tracks._replace(courses=tracks.courses.copy_for(len(tracks.seen_ns)))
     m = len(found.robots)
@@ -135,7 +143,7 @@ def solve_rolling(
     expected = expect(tracks.courses, found.robots, exposed_ns)
     rates = expected.rates()
     green = is_green(rates)
-    frame = _Frame(setup, measured, heights, exposed_ns, tracks, expected, solutions, choices)
+    frame = _Frame(setup, measured, heights, commons, exposed_ns, tracks, expected, solutions, choices)
     first = found._replace(assignment=found.assignment.copy())
     poses = _back(found, _lit(setup, found, measured).mean(), rates)
     look = _look(frame, first, poses, rates)
@@ -155,6 +163,7 @@ def _look(frame: _Frame, found: Matched, poses: tuple[Floats, Floats], rates: Ra
     setup, solutions, choices = frame.setup, frame.solutions, frame.choices
     brought, blurred = _bring(setup.lens, _lit(setup, found, frame.measured), frame.measured, poses, rates)
     solve_robots(setup.lens, setup.constellations, found, brought, solutions)
+    add_common_shifts(setup.constellations, found, brought, frame.commons, setup.lens[FX], solutions)
     trial = frame.tracks.copy_for(len(frame.tracks.seen_ns))
     choose(found, frame.exposed_ns, solutions, frame.heights, setup.mounts, trial, choices)
     told = np.flatnonzero(choices.best >= 0)

@@ -1,0 +1,181 @@
+"""Light that lies to one side of all LEDs of a robot alike: it moves their centres together, and leaves no residual.
+
+What an LED spills on its plate, or on a polished floor, is dim and broad: a spot's own fit takes it for a shift, of a
+hundredth of a pixel, and its noise hides that. All LEDs of a robot together tell: around every spot, in a ring beyond
+the profile's foot, the light above the surroundings' plane is r = level + D e, e the outward unit vector; D is its
+dipole, grey levels. Such light at the edge, where the profile rises by HEIGHT within sqrt(2 pi) blurs, moves the centre
+by c = D sqrt(2 pi) blur / HEIGHT, px: then residuals D e and the shift's, slope e c, are the same. Nearer than the ring
+there is more of it, and the fitted slopes take some of it off: the centre moves by TOWARDS times as much, give or take
+half of it, for glows of a sigma of 1 to 4 radii, of Gaussian and of longer reach, one or two of them, 0.5 to 3 radii
+off, of 1 to 10 % of the LED, below spots of 1.8 to 6 px under blurs of 0.65 to 1.1 px (rendered: 1.37 to 1.58; E / c
+had an RMS of 1.4 along c, and of a third of it across, where two lights were not of the same reach).
+
+So what is known of a robot's common shift is a covariance: TOWARDS^2 (c c' + (ACROSS |c|)^2), c the mean over its
+LEDs, weighted by what their centres tell. How well that mean is known, its LEDs' scatter about it tells: light beside a single
+one, texture, noise, are no common light. Only what is in excess counts, shrunk as James and Stein do.
+"""
+
+import math
+
+import numpy as np
+
+from asterism.server.centres.blurred_ellipse import distance_to_ellipse
+from asterism.server.centres.edge_steps import BLUR_PX
+from asterism.server.centres.near_spots import MOST_NEIGHBOURS, neighbours_of
+from asterism.server.centres.window import leave_out
+from asterism.server.compiled import compiled, compiled_sums
+from asterism.server.segmentation.order import ascending
+from asterism.server.segmentation.pixels import COUNTS, GREY, LANES, PX, PY, ZERO, Box, f32, gather_box, pad, room_for
+from asterism.server.segmentation.spot_table import (
+    ANGLE,
+    HEIGHT,
+    LEVEL,
+    NOISE,
+    SEMI_A,
+    SEMI_B,
+    SHOULDER,
+    SLOPE_X,
+    SLOPE_Y,
+    X,
+    Y,
+)
+
+NEAREST_PX, FARTHEST_PX = 2.0, 4.0  # of the ring, from the spot's edge
+TOO_LARGE_PX = 0.28  # by how much moments find semi-axes too large
+SPARE_PX = 2.0  # of a neighbour's light, beyond what its fit leaves out
+TOWARDS, ACROSS = 1.45, 0.33
+EXCESS = 8.2  # mean shift squared over its variance along an axis, up to which it is noise: twice 95 % of F(2, 10)
+LEAST_PIXELS = 20.0  # of a ring
+LEAST_LEDS = 2.5  # of a robot, as their weights count
+LEAST_SIGMA_PX = 0.005  # of a centre, so that one does not speak for all
+RING_SUMS = 9
+
+
+@compiled_sums
+def _add_up_ring(pixels, n, spot, centre, sums):
+    """Fill ``sums`` (RING_SUMS,) over the ring's pixels, told from ``centre`` (2,): number, and of the outward
+    direction (x, y) and the light z above the surroundings x, y, xx, xy, yy, z, xz, yz.
+    """
+    xs, ys, values, counts = pixels[PX], pixels[PY], pixels[GREY], pixels[COUNTS]
+    level = f32(spot[LEVEL] + spot[SLOPE_X] * (centre[0] - spot[X]) + spot[SLOPE_Y] * (centre[1] - spot[Y]))
+    slope_x, slope_y = f32(spot[SLOPE_X]), f32(spot[SLOPE_Y])
+    a, b = max(spot[SEMI_A] - TOO_LARGE_PX, 0.5), max(spot[SEMI_B] - TOO_LARGE_PX, 0.5)
+    per_a2, per_b2 = f32(1.0 / (a * a)), f32(1.0 / (b * b))
+    cos, sin = f32(math.cos(spot[ANGLE])), f32(math.sin(spot[ANGLE]))
+    nearest, farthest = f32(-NEAREST_PX), f32(-FARTHEST_PX)
+    number = sx = sy = sxx = sxy = syy = sz = sxz = syz = ZERO
+    for i in range(n // LANES * LANES):
+        dx, dy = xs[i], ys[i]
+        _, _, pu, pv, distance, outward, bend = distance_to_ellipse(dx, dy, cos, sin, per_a2, per_b2)
+        du, dv = pu * (outward - bend * per_a2), pv * (outward - bend * per_b2)
+        x, y = dv * sin - du * cos, -du * sin - dv * cos
+        w = counts[i] if distance < nearest and distance > farthest else ZERO
+        z = values[i] - level - slope_x * dx - slope_y * dy
+        wx, wy = w * x, w * y
+        number += w
+        sx += wx
+        sy += wy
+        sxx += wx * x
+        sxy += wx * y
+        syy += wy * y
+        sz += w * z
+        sxz += wx * z
+        syz += wy * z
+    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = number, sx, sy, sxx, sxy, syy
+    sums[6], sums[7], sums[8] = sz, sxz, syz
+
+
+@compiled
+def _dipole(sums):
+    """The dipole x, y of a ring's light, grey levels, how many pixels tell of an axis, and whether it is told."""
+    number = max(sums[0], 1.0)
+    xx, xy = sums[3] - sums[1] * sums[1] / number, sums[4] - sums[1] * sums[2] / number
+    yy = sums[5] - sums[2] * sums[2] / number
+    rx, ry = sums[7] - sums[1] * sums[6] / number, sums[8] - sums[2] * sums[6] / number
+    det = xx * yy - xy * xy
+    if sums[0] < LEAST_PIXELS or not det > 0.1 * xx * yy:
+        return 0.0, 0.0, 0.0, False
+    return (yy * rx - xy * ry) / det, (xx * ry - xy * rx) / det, 2.0 * det / (xx + yy), True
+
+
+@compiled
+def _gather_ring(image, spot, centre, neighbours, pixels):
+    """The pixels about a spot as far as its ring, told from its ``centre``: how many."""
+    reach = spot[SEMI_A] + FARTHEST_PX
+    box = Box(
+        max(int(centre[0] - reach), 0),
+        min(int(centre[0] + reach) + 2, image.shape[1]),
+        max(int(centre[1] - reach), 0),
+        min(int(centre[1] + reach) + 2, image.shape[0]),
+    )
+    count = pad(pixels, 0, gather_box(image, box, centre[0], centre[1], pixels, 0))
+    leave_out(pixels, count, neighbours, centre[0], centre[1])
+    return count
+
+
+@compiled
+def _pool(shifts, common):
+    """Fill ``common`` (3,) from the ``shifts`` (k, 4) of a robot's spots: x, y, variance, px^2, and weight."""
+    whole = squares = x = y = 0.0
+    for k in range(shifts.shape[0]):
+        weight = shifts[k, 3]
+        whole += weight
+        squares += weight * weight
+        x += weight * shifts[k, 0]
+        y += weight * shifts[k, 1]
+    if not whole * whole > LEAST_LEDS * squares:
+        return
+    x, y = x / whole, y / whole
+    noise = scatter = 0.0
+    for k in range(shifts.shape[0]):
+        share = (shifts[k, 3] / whole) ** 2
+        noise += share * shifts[k, 2]
+        scatter += 0.5 * share * ((shifts[k, 0] - x) ** 2 + (shifts[k, 1] - y) ** 2)
+    noise = max(noise, scatter / (1.0 - squares / (whole * whole)))
+    size2 = x * x + y * y
+    excess = 1.0 - EXCESS * noise / max(size2, 1e-18)
+    if excess > 0.0:
+        scale = excess * TOWARDS * TOWARDS
+        around = ACROSS * ACROSS * size2
+        common[0], common[1], common[2] = scale * (x * x + around), scale * x * y, scale * (y * y + around)
+
+
+@compiled
+def find_common_light(image, spots, robots, centres, covariances, commons):
+    """Fill ``commons`` (m, 3) xx, xy, yy px^2: how far, one sigma, all spots of a robot may be off together, 0 where no
+    light beside them says so.
+
+    ``spots`` is the spot table; ``robots`` (m, 6) are the rows of the spots of every robot's LEDs, -1 for those not
+    seen; ``centres`` (n, 2) px and ``covariances`` (n, 3) px^2 are those of the spots.
+    """
+    commons[:, :] = 0.0
+    order = ascending(spots[:, X])
+    places = np.empty(spots.shape[0], np.int64)
+    widest = largest = 0.0
+    for place in range(order.shape[0]):
+        places[order[place]] = place
+        widest = max(widest, spots[place, SEMI_A])
+    for k in robots.flat:
+        if k >= 0:
+            largest = max(largest, spots[k, SEMI_A])
+    pixels = room_for((2.0 * (largest + FARTHEST_PX) + 4.0) ** 2)
+    neighbours, other, sums = np.empty((MOST_NEIGHBOURS, 3)), np.empty(6), np.empty(RING_SUMS)
+    shifts = np.empty((robots.shape[1], 4))
+    for robot in range(robots.shape[0]):
+        told = 0
+        for k in robots[robot]:
+            if k < 0:
+                continue
+            spot = spots[k]
+            count = neighbours_of(spots, order, places[k], widest, neighbours, other)
+            neighbours[:count, 2] += SPARE_PX
+            n = _gather_ring(image, spot, centres[k], neighbours[:count], pixels)
+            _add_up_ring(pixels, n, spot, centres[k], sums)
+            x, y, number, is_told = _dipole(sums)
+            if is_told:
+                by = math.sqrt(2.0 * math.pi) * BLUR_PX / spot[HEIGHT]
+                own = 0.5 * (covariances[k, 0] + covariances[k, 2]) + spot[SHOULDER] ** 2 + LEAST_SIGMA_PX**2
+                shifts[told, 0], shifts[told, 1] = by * x, by * y
+                shifts[told, 2], shifts[told, 3] = (by * spot[NOISE]) ** 2 / number, 1.0 / own
+                told += 1
+        _pool(shifts[:told], commons[robot])
