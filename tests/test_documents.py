@@ -221,6 +221,15 @@ def test_a_frames_way_leads_from_a_source_through_the_rooms_to_the_recorder() ->
         assert room in passed, room  # in this order: the iterator goes on where it was
 
 
+def test_every_plot_stands_beside_the_command_that_draws_it() -> None:
+    text = (REPOSITORY / "docs" / "light.md").read_text()
+    plots = list((REPOSITORY / "docs").glob("light-*.svg"))
+    assert plots
+    for plot in plots:
+        assert f"]({plot.name})" in text
+        assert re.search(rf"`python -m tests\.measure\.\w+ [^`]*docs/{plot.name}`", text), plot.name
+
+
 class Loaded(HTMLParser):
     """What a browser fetches for a page."""
 

@@ -1,12 +1,11 @@
-"""Centres under any lens, at any brightness, against what physics allows: `python -m tests.measure.light [OUT.png]`.
+"""Centres under any lens, at any brightness, against what physics allows: `python -m tests.measure.light [OUT.svg]`.
 
 Frames of six ellipses of aspect 0.85, at random phases and angles, rendered exactly (tests/centres/lenses.py), then
 segmented and centred as the chain does it. "peak": grey levels of the spot's middle above the background, clipped at
 255. "x" is the root mean square error of a coordinate over the Cramer-Rao bound of the true lens's model; NEES is the
-squared error
-weighted by the covariance, over the 2 that are expected: less than 1 is modest, more is boastful. The last table is of
-light that is not symmetric: there the covariance is to grow with the error. OUT.png receives a plot of NEES against
-brightness.
+squared error weighted by the covariance, over the 2 that are expected: less than 1 is modest, more is boastful. The
+last table is of light that is not symmetric: there the covariance is to grow with the error. OUT.svg receives a plot
+of NEES against brightness.
 """
 
 import sys
@@ -21,6 +20,7 @@ from rich.table import Table
 
 from tests.centres.lenses import SYMMETRIC, Lens, coma, gauss
 from tests.centres.lit_frames import Disturb, bound, centre_spots, light_beside, step_beside
+from tests.measure.line_plot import Axis, draw_lines
 
 LEVELS = (30.0, 60.0, 120.0, 200.0, 255.0, 350.0, 500.0)
 RADII = (1.5, 2.5, 4.0)  # px, of the long semi-axis
@@ -75,28 +75,14 @@ def table_of(title: str, rows: dict[str, list[Result]], columns: list[str]) -> T
 
 
 def plot(symmetric: dict[float, dict[str, list[Result]]], out: Path) -> None:
-    """NEES against brightness, a panel for every radius, a line for every lens."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, panels = plt.subplots(1, len(RADII), figsize=(14, 4.6), sharey=True, layout="constrained")
-    for panel, (radius, rows) in zip(panels, symmetric.items(), strict=True):
-        for name, mark in zip(PLOTTED, "os^Dv", strict=True):
-            panel.plot(LEVELS, [result.nees for result in rows[name]], marker=mark, label=name)
-        panel.axhspan(0.8, 1.2, color="0.9")
-        panel.axvline(247, color="0.6", linestyle=":")
-        panel.set(
-            title=f"radius {radius:g} px", xlabel="peak, grey levels (clipped at 255)", yscale="log", xscale="log"
-        )
-        panel.set_xticks(LEVELS, [f"{level:g}" for level in LEVELS])
-        panel.minorticks_off()
-    panels[0].set_ylabel("NEES of centres over expected")
-    panels[0].set_ylim(0.1, 4.0)
-    panels[0].set_yticks([0.1, 0.2, 0.5, 1, 2, 4], ["0.1", "0.2", "0.5", "1", "2", "4"])
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(PLOTTED))
-    figure.savefig(out, dpi=110)
+    """NEES against brightness, of all radii together, a line for every lens."""
+    lines = {}
+    for name in PLOTTED:
+        nees = np.mean([[result.nees for result in rows[name]] for rows in symmetric.values()], axis=0)
+        lines[name] = (LEVELS, nees.tolist())
+    across = Axis("peak, grey levels above the background (clipped at 255)", LEVELS, (28.0, 520.0), log=True)
+    up = Axis("squared error weighted by covariance,\nover what is expected", (0, 0.4, 0.8, 1.2, 1.6), (0.0, 1.6))
+    draw_lines(lines, across, up, out, meant=(0.8, 1.2))
 
 
 def main(out: Path | None, console: Console) -> list[Path]:

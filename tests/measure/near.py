@@ -1,10 +1,10 @@
-"""Robots near a wide lens: `python -m tests.measure.near [--frames N] [--out FOLDER]`.
+"""Robots near a wide lens: `python -m tests.measure.near [--frames N] [--out FILE.svg]`.
 
 Rendered frames of 960x600 with one robot of 0.11 m among eight of the rig, f = 450 px, anywhere in the image but with
 every LED in view, each located alone; under a fisheye (equidistant) at least 50 degrees off the axis, up to its image's
 edge. "width" is the robot's over its distance. "wrong" as in tests/chain/judging.py; "led.radius": where the rig says
 that the LEDs are so many times as large as they are. "four LEDs beside others": of robots with four LEDs lit in frames
-with two that have six. FOLDER receives a plot of found against width.
+with two that have six. FILE receives a plot of found against width.
 """
 
 import argparse
@@ -24,6 +24,7 @@ from asterism.server.identity.plan import plan_for
 from asterism.server.simulation.simulate import Scene, Truth
 from tests.chain.judging import Judged
 from tests.identity.near_poses import LENSES, near_poses, near_rig
+from tests.measure.line_plot import Axis, draw_lines
 
 WIDTH_M = 0.11
 AWAY = (0.2, 0.22, 0.26, 0.35, 0.55)  # m
@@ -87,19 +88,14 @@ def beside(lens: str, away_m: float, frames: int) -> tuple[int, int]:
 
 
 def plot(shares: dict[str, list[float]], out: Path) -> None:
-    """Found against width over distance."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, panel = plt.subplots(figsize=(7, 4.4), layout="constrained")
-    for name, found in shares.items():
-        panel.plot([WIDTH_M / away_m for away_m in AWAY], found, "o-", label=name)
-    panel.set(xlabel="robot's width over its distance", ylabel="found, %", ylim=(0, 103))
-    panel.grid(visible=True, alpha=0.3)
-    panel.legend()
-    figure.savefig(out, dpi=110)
+    """Found against width over distance, the mean of the lenses, which follow one another in ``shares``."""
+    widths = [WIDTH_M / away_m for away_m in AWAY][::-1]
+    across = Axis("robot's width over its distance", (0.2, 0.3, 0.4, 0.5), (0.19, 0.56))
+    up = Axis("found afresh, % of robots", (70, 80, 90, 100), (70.0, 100.0))
+    lines = {
+        name: (widths, np.reshape(found, (-1, len(AWAY))).mean(axis=0)[::-1].tolist()) for name, found in shares.items()
+    }
+    draw_lines(lines, across, up, out)
 
 
 def main(frames: int, out: Path | None) -> None:
@@ -112,11 +108,12 @@ def main(frames: int, out: Path | None) -> None:
     shares: dict[str, list[float]] = {}
     for lens in LENSES:
         for tilt in TILTS:
-            shares[f"{lens}, tilted by {tilt[0]:g} to {tilt[1]:g} degrees"] = line = []
             for away_m in AWAY:
                 cells = [alone(lens, away_m, tilt, 1.0, lit, frames) for lit in (6, 5)]
                 cells += [alone(lens, away_m, tilt, told, 6, max(frames // 5, 1)) for told in TOLD]
-                line.append(100 * cells[0][0] / frames)
+                for lit, (found, _) in zip((6, 5), cells, strict=False):
+                    line = shares.setdefault(f"{lit} LEDs, {tilt[0]:g} to {tilt[1]:g}°", [])
+                    line.append(100 * found / frames)
                 asked = [frames, frames] + [max(frames // 5, 1)] * len(TOLD)
                 told = [f"{100 * found / n:.1f} % / {wrong}" for (found, wrong), n in zip(cells, asked, strict=True)]
                 table.add_row(lens, f"{away_m} m", f"{WIDTH_M / away_m:.2f}", f"{tilt[0]:g}-{tilt[1]:g}", *told)
@@ -125,14 +122,13 @@ def main(frames: int, out: Path | None) -> None:
         found, wrong = beside("wide", away_m, frames)
         console.print(f"four LEDs beside others, wide, {away_m} m: {100 * found / frames:.1f} % found, {wrong} wrong")
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        plot(shares, out / "near.png")
-        console.print(out / "near.png")
+        plot(shares, out)
+        console.print(out)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=250, help="in each cell")
-    parser.add_argument("--out", type=Path, help="folder for the plot")
+    parser.add_argument("--out", type=Path, help="the plot")
     given = parser.parse_args()
     main(given.frames, given.out)

@@ -17,6 +17,7 @@ import argparse
 import time
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from rich import box
@@ -37,6 +38,7 @@ from asterism.server.pose.solve import Solutions, solve_robots
 from asterism.server.pose.track import Tracks
 from tests.chain.frames import poses_apart
 from tests.chain.judging import TILTED_RAD
+from tests.measure.line_plot import Axis, draw_lines
 
 SIGMA_PX = 0.015
 ROBOTS = 8
@@ -239,8 +241,20 @@ CASES: dict[str, dict[str, float]] = {
 }
 
 
-def main(rigs: int, frames: int, cases: list[str]) -> None:
-    """Measure and print."""
+def plot(measured: dict[str, dict[str, Row]], out: Path) -> None:
+    """Found, and flagged, against how far off LED positions are; rigs that have something else wrong are left out."""
+    only = {name: 1000 * CASES[name]["led_m"] for name in measured if CASES[name].keys() == {"led_m"}}
+    lines = {}
+    for kind, said in (("alone", "each frame alone"), ("film", "followed")):
+        rows = [measured[name][kind] for name in only]
+        lines[f"found, {said}"] = list(only.values()), [100 * row.found / row.seen for row in rows]
+        lines[f"ambiguous, {said}"] = list(only.values()), [100 * row.flagged / max(row.found, 1) for row in rows]
+    across = Axis("LED positions off by, one sigma a coordinate, mm", (0, 0.1, 0.2, 0.3, 0.5, 1.0), (-0.01, 1.01))
+    draw_lines(lines, across, Axis("% of robots", (0, 20, 40, 60, 80, 100), (0.0, 100.0)), out)
+
+
+def main(rigs: int, frames: int, cases: list[str], out: Path | None) -> None:
+    """Measure, print, plot."""
     table = Table(title=f"{rigs} rigs", box=box.SIMPLE_HEAD, pad_edge=False)
     for heading in (
         "rig",
@@ -257,10 +271,11 @@ def main(rigs: int, frames: int, cases: list[str]) -> None:
         "ms",
     ):
         table.add_column(heading, justify="left" if heading == "rig" else "right", no_wrap=True)
+    measured = {}
     for name in cases:
         kinds = CASES[name]
         exact = "focal" not in kinds and "distorted" not in kinds
-        rows = {"alone": Row(), "film": Row()}
+        measured[name] = rows = {"alone": Row(), "film": Row()}
         for seed in range(rigs):
             drawn = draw_rig(seed, **kinds)  # type: ignore[arg-type]
             alone(drawn, frames, rows["alone"], seed, exact)
@@ -269,6 +284,8 @@ def main(rigs: int, frames: int, cases: list[str]) -> None:
         for kind, row in rows.items():
             table.add_row(name if kind == "alone" else "", kind, *row.cells())
     Console(width=140).print(table)
+    if out is not None:
+        plot(measured, out)
 
 
 if __name__ == "__main__":
@@ -276,5 +293,6 @@ if __name__ == "__main__":
     parser.add_argument("--rigs", type=int, default=50)
     parser.add_argument("--frames", type=int, default=4)
     parser.add_argument("--cases", nargs="*", default=list(CASES))
+    parser.add_argument("--out", type=Path, help="a plot against how far off the LED positions are")
     options = parser.parse_args()
-    main(options.rigs, options.frames, options.cases)
+    main(options.rigs, options.frames, options.cases, options.out)
