@@ -278,8 +278,20 @@ def _noise(
     whole = np.linalg.inv((back @ weighted).sum(axis=1))
     skews = whole @ (lit.times[..., None, None] * (back @ weighted)).sum(axis=1)
     wide = weighted.transpose(0, 1, 3, 2) @ _square(blurred[lit.spots]) @ weighted
-    noise = covariances - whole @ wide.sum(axis=1) @ whole
+    # Seen nearly in front a covariance is that of all tilts, more than least squares make it, or less along some axes:
+    # what it has beyond them is kept, what they owe to the widening goes.
+    noise = whole - whole @ wide.sum(axis=1) @ whole + _positive(covariances - whole, covariances)
     return 0.5 * (noise + noise.transpose(0, 2, 1)), skews
+
+
+def _positive(excess: Floats, covariances: Floats) -> Floats:
+    """The positive part of symmetric matrices (m, 6, 6), in units of the covariances' own sigmas."""
+    sigmas = np.sqrt(np.einsum("mii->mi", covariances))
+    scale = sigmas[:, :, None] * sigmas[:, None, :]
+    unit = excess / scale
+    values, vectors = np.linalg.eigh(0.5 * (unit + unit.transpose(0, 2, 1)))
+    part: Floats = (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1) * scale
+    return part
 
 
 def _at_mid_frame(look: _Look) -> Floats:
