@@ -1,18 +1,20 @@
 """Light that lies to one side of all LEDs of a robot alike: it moves their centres together, and leaves no residual.
 
-What an LED spills on its plate, or on a polished floor, is dim and broad: a spot's own fit takes it for a shift, of a
-hundredth of a pixel, and its noise hides that. All LEDs of a robot together tell: around every spot, in a ring beyond
-the profile's foot, the light above the surroundings' plane is r = level + D e, e the outward unit vector; D is its
-dipole, grey levels. Such light at the edge, where the profile rises by HEIGHT within sqrt(2 pi) blurs, moves the centre
-by c = D sqrt(2 pi) blur / HEIGHT, px: then residuals D e and the shift's, slope e c, are the same. Nearer than the ring
-there is more of it, and the fitted slopes take some of it off: the centre moves by TOWARDS times as much, give or take
-half of it, for glows of a sigma of 1 to 4 radii, of Gaussian and of longer reach, one or two of them, 0.5 to 3 radii
-off, of 1 to 10 % of the LED, below spots of 1.8 to 6 px under blurs of 0.65 to 1.1 px (rendered: 1.37 to 1.58; E / c
-had an RMS of 1.4 along c, and of a third of it across, where two lights were not of the same reach).
+What an LED spills on its plate, or on a polished floor, is dim: a spot's own fit takes it for a shift of a hundredth of
+a pixel, and its noise hides that. All LEDs of a robot together tell. In a ring at the foot of every spot's profile the
+light above the surroundings' plane is explained by r = h(d) + D e, h a parabola of the distance, which takes what is
+even, e the outward unit vector; D is the dipole, grey levels. At the edge, where the profile rises by HEIGHT within
+sqrt(2 pi) blurs, D would move the centre by c = D sqrt(2 pi) blur / HEIGHT, px: residuals D e and a shift's, slope e c,
+are the same there. Nearer than the ring there is more of such light, and the fitted slopes take some of it: the
+centre moves by TOWARDS times as much. Rendered, for spots of 1.8 to 5 px under blurs of 0.65 to 1.1 px, that factor is
+1.3 for broad glows (sigma 1 to 4 radii, 0.5 to 3 radii off), 3.2 for steep ones (0.5 to 1.5 radii, 0.2 to 1 off) and 6
+for images of the LED 0.1 to 1 radii off; which light it is cannot be seen. TOWARDS is that of the middle: within a
+factor of two or so for all. Across c the shift had a third of it, where two lights were not of the same reach.
 
 So what is known of a robot's common shift is a covariance: TOWARDS^2 (c c' + (ACROSS |c|)^2), c the mean over its
-LEDs, weighted by what their centres tell. How well that mean is known, its LEDs' scatter about it tells: light beside a single
-one, texture, noise, are no common light. Only what is in excess counts, shrunk as James and Stein do.
+LEDs, weighted by what their centres tell. How well that mean is known, its LEDs' scatter about it tells: light beside a
+single one, texture, noise, are no common light. Only what is in excess counts, shrunk as James and Stein do. Spots that
+were centred together with the light that leans on them (`leaning_spots`) do not tell: that light is explained.
 """
 
 import math
@@ -40,21 +42,22 @@ from asterism.server.segmentation.spot_table import (
     Y,
 )
 
-NEAREST_PX, FARTHEST_PX = 2.0, 4.0  # of the ring, from the spot's edge
+NEAREST_PX, FARTHEST_PX = 1.25, 2.5  # of the ring, from the spot's edge
 TOO_LARGE_PX = 0.28  # by how much moments find semi-axes too large
 SPARE_PX = 2.0  # of a neighbour's light, beyond what its fit leaves out
-TOWARDS, ACROSS = 1.45, 0.33
+TOWARDS, ACROSS = 3.2, 0.33
 EXCESS = 8.2  # mean shift squared over its variance along an axis, up to which it is noise: twice 95 % of F(2, 10)
 LEAST_PIXELS = 20.0  # of a ring
 LEAST_LEDS = 2.5  # of a robot, as their weights count
 LEAST_SIGMA_PX = 0.005  # of a centre, so that one does not speak for all
-RING_SUMS = 9
+RING_SUMS = 19
 
 
 @compiled_sums
 def _add_up_ring(pixels, n, spot, centre, sums):
-    """Fill ``sums`` (RING_SUMS,) over the ring's pixels, told from ``centre`` (2,): number, and of the outward
-    direction (x, y) and the light z above the surroundings x, y, xx, xy, yy, z, xz, yz.
+    """Fill ``sums`` (RING_SUMS,) over the ring's pixels, told from ``centre`` (2,), with d the distance to the ring's
+    middle, (x, y) the outward direction, z the light above the surroundings: number, d, d^2, d^3, d^4, x, y, dx, dy,
+    ddx, ddy, xx, xy, yy, z, dz, ddz, xz, yz.
     """
     xs, ys, values, counts = pixels[PX], pixels[PY], pixels[GREY], pixels[COUNTS]
     level = f32(spot[LEVEL] + spot[SLOPE_X] * (centre[0] - spot[X]) + spot[SLOPE_Y] * (centre[1] - spot[Y]))
@@ -62,40 +65,68 @@ def _add_up_ring(pixels, n, spot, centre, sums):
     a, b = max(spot[SEMI_A] - TOO_LARGE_PX, 0.5), max(spot[SEMI_B] - TOO_LARGE_PX, 0.5)
     per_a2, per_b2 = f32(1.0 / (a * a)), f32(1.0 / (b * b))
     cos, sin = f32(math.cos(spot[ANGLE])), f32(math.sin(spot[ANGLE]))
-    nearest, farthest = f32(-NEAREST_PX), f32(-FARTHEST_PX)
-    number = sx = sy = sxx = sxy = syy = sz = sxz = syz = ZERO
+    middle, half = f32(0.5 * (NEAREST_PX + FARTHEST_PX)), f32(0.5 * (FARTHEST_PX - NEAREST_PX))
+    number = d1 = d2 = d3 = d4 = sx = sy = sdx = sdy = sddx = sddy = sxx = sxy = syy = ZERO
+    sz = sdz = sddz = sxz = syz = ZERO
     for i in range(n // LANES * LANES):
         dx, dy = xs[i], ys[i]
         _, _, pu, pv, distance, outward, bend = distance_to_ellipse(dx, dy, cos, sin, per_a2, per_b2)
         du, dv = pu * (outward - bend * per_a2), pv * (outward - bend * per_b2)
         x, y = dv * sin - du * cos, -du * sin - dv * cos
-        w = counts[i] if distance < nearest and distance > farthest else ZERO
-        z = values[i] - level - slope_x * dx - slope_y * dy
-        wx, wy = w * x, w * y
+        d = -distance - middle
+        w = counts[i] if abs(d) < half else ZERO
+        z = w * (values[i] - level - slope_x * dx - slope_y * dy)
+        wd, wx, wy = w * d, w * x, w * y
+        wdd = wd * d
         number += w
+        d1 += wd
+        d2 += wdd
+        d3 += wdd * d
+        d4 += wdd * d * d
         sx += wx
         sy += wy
+        sdx += wd * x
+        sdy += wd * y
+        sddx += wdd * x
+        sddy += wdd * y
         sxx += wx * x
         sxy += wx * y
         syy += wy * y
-        sz += w * z
-        sxz += wx * z
-        syz += wy * z
-    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = number, sx, sy, sxx, sxy, syy
-    sums[6], sums[7], sums[8] = sz, sxz, syz
+        sz += z
+        sdz += z * d
+        sddz += z * d * d
+        sxz += z * x
+        syz += z * y
+    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5], sums[6] = number, d1, d2, d3, d4, sx, sy
+    sums[7], sums[8], sums[9], sums[10], sums[11], sums[12], sums[13] = sdx, sdy, sddx, sddy, sxx, sxy, syy
+    sums[14], sums[15], sums[16], sums[17], sums[18] = sz, sdz, sddz, sxz, syz
 
 
 @compiled
-def _dipole(sums):
-    """The dipole x, y of a ring's light, grey levels, how many pixels tell of an axis, and whether it is told."""
-    number = max(sums[0], 1.0)
-    xx, xy = sums[3] - sums[1] * sums[1] / number, sums[4] - sums[1] * sums[2] / number
-    yy = sums[5] - sums[2] * sums[2] / number
-    rx, ry = sums[7] - sums[1] * sums[6] / number, sums[8] - sums[2] * sums[6] / number
+def _dipole(sums, m):
+    """The dipole x, y of a ring's light, grey levels, how many pixels tell of an axis, and whether it is told.
+
+    ``m`` (5, 6) is room: the normal equations of 1, d, d^2, x, y, of which the first three, which are even, go.
+    """
+    for i in range(3):
+        for j in range(3):
+            m[i, j] = sums[i + j]
+        m[i, 3], m[i, 4], m[i, 5] = sums[5 + 2 * i], sums[6 + 2 * i], sums[14 + i]
+        m[3, i], m[4, i] = m[i, 3], m[i, 4]
+    m[3, 3], m[3, 4], m[3, 5] = sums[11], sums[12], sums[17]
+    m[4, 3], m[4, 4], m[4, 5] = sums[12], sums[13], sums[18]
+    for k in range(3):
+        if not m[k, k] > 1e-3:
+            return 0.0, 0.0, 0.0, False
+        for i in range(k + 1, 5):
+            share = m[i, k] / m[k, k]
+            for j in range(k, 6):
+                m[i, j] -= share * m[k, j]
+    xx, xy, yy = m[3, 3], m[3, 4], m[4, 4]
     det = xx * yy - xy * xy
     if sums[0] < LEAST_PIXELS or not det > 0.1 * xx * yy:
         return 0.0, 0.0, 0.0, False
-    return (yy * rx - xy * ry) / det, (xx * ry - xy * rx) / det, 2.0 * det / (xx + yy), True
+    return (yy * m[3, 5] - xy * m[4, 5]) / det, (xx * m[4, 5] - xy * m[3, 5]) / det, 2.0 * det / (xx + yy), True
 
 
 @compiled
@@ -160,18 +191,18 @@ def find_common_light(image, spots, robots, centres, covariances, commons):
             largest = max(largest, spots[k, SEMI_A])
     pixels = room_for((2.0 * (largest + FARTHEST_PX) + 4.0) ** 2)
     neighbours, other, sums = np.empty((MOST_NEIGHBOURS, 3)), np.empty(6), np.empty(RING_SUMS)
-    shifts = np.empty((robots.shape[1], 4))
+    shifts, equations = np.empty((robots.shape[1], 4)), np.empty((5, 6))
     for robot in range(robots.shape[0]):
         told = 0
         for k in robots[robot]:
-            if k < 0:
+            if k < 0 or spots[k, SHOULDER] ** 2 > covariances[k, 0]:
                 continue
             spot = spots[k]
             count = neighbours_of(spots, order, places[k], widest, neighbours, other)
             neighbours[:count, 2] += SPARE_PX
             n = _gather_ring(image, spot, centres[k], neighbours[:count], pixels)
             _add_up_ring(pixels, n, spot, centres[k], sums)
-            x, y, number, is_told = _dipole(sums)
+            x, y, number, is_told = _dipole(sums, equations)
             if is_told:
                 by = math.sqrt(2.0 * math.pi) * BLUR_PX / spot[HEIGHT]
                 own = 0.5 * (covariances[k, 0] + covariances[k, 2]) + spot[SHOULDER] ** 2 + LEAST_SIGMA_PX**2
