@@ -47,7 +47,7 @@ from asterism.server.centres.edge_sums import (
     add_up_shape,
 )
 from asterism.server.centres.even_profile import add_up_freed, even_room, lay_out, learn_profile, subtract_profile
-from asterism.server.centres.oddness import Moved, judge, take_step
+from asterism.server.centres.oddness import Moved, Odd, judge, take_step
 from asterism.server.centres.window import gather_pixels
 from asterism.server.compiled import compiled
 from asterism.server.segmentation.pixels import room_for
@@ -98,16 +98,14 @@ class EdgeRoom(NamedTuple):
 
 class Freed(NamedTuple):
     """The odd block after its last step: the centre's information with the slopes eliminated, and whether it can be
-    told; chi squared per degree of freedom; the odd light beyond noise, as `oddness.judge` tells it; the
-    parameters that lit pixels have determined.
+    told; what is left, as `oddness.judge` tells it; the parameters that lit pixels have determined.
     """
 
     xx: float
     xy: float
     yy: float
     told: bool
-    misfit: float
-    beyond: float
+    odd: Odd
     parameters: float
 
 
@@ -168,8 +166,8 @@ def _free(n, p, fitted, room):
     xx, xy, yy, told = improve_centre(sums, p)
     moved = Moved(p[CX] - x, p[CY] - y, p[SX] - u, p[SY] - v)
     take_step(room.pixels, n, p, moved, even.rows)
-    misfit, beyond = judge(even.rows, n, p, fitted.floor, determined, sums)
-    return Freed(xx, xy, yy, told, misfit, beyond, LIT_PROFILE_PARAMETERS)
+    odd = judge(even.rows, n, p, fitted.floor, determined, sums)
+    return Freed(xx, xy, yy, told, odd, LIT_PROFILE_PARAMETERS)
 
 
 @compiled
@@ -177,11 +175,12 @@ def fit_edge_model(image, spot, neighbours, gain, room, out):
     """Refine the centre of one spot.
 
     ``spot`` is a row of the spot table; ``neighbours`` (k, 3) the x, y and radius (px) of spots nearby; ``gain`` grey
-    levels of variance per grey level of light; ``room`` an `EdgeRoom` for its window. ``out`` (10,) receives x, y, the
+    levels of variance per grey level of light; ``room`` an `EdgeRoom` for its window. ``out`` (14,) receives x, y, the
     covariance xx, xy, yy (px^2) for that gain, how far, in sigmas, the light outside the ellipse lies to one side
     (noise and a wrong shape leave it even, other light beside the spot does not), chi squared per degree of freedom
     (of what is not even, where that was large), what the residuals say of the sensor's gain, numerator and denominator,
-    and how much of the light is odd beyond noise, as `oddness.judge` tells it.
+    `oddness.Odd`'s chi squared and degrees of freedom, of the dipoles and of the finer harmonics, and how much they
+    count, from 0 where the ellipse alone explains the spot to 1.
     """
     sums, p = room.sums, room.p
     near, n = gather_pixels(image, spot, neighbours, room.pixels)
@@ -191,14 +190,14 @@ def fit_edge_model(image, spot, neighbours, gain, room, out):
     add_up_centre(room.pixels, n, p, fitted, sums)
     xx, xy, yy, told = improve_centre(sums, p)
     misfit = sums[CHI2] / max(sums[COUNT] - PARAMETERS, 1.0)
-    fit = Freed(xx, xy, yy, told, misfit, 0.0, LIT_PARAMETERS)
-    beyond = 0.0
+    fit = Freed(xx, xy, yy, told, Odd(misfit, 0.0, 0.0, 0.0, 0.0), LIT_PARAMETERS)
+    share = 0.0
     if misfit > FREE_FROM or fitted.softness > 0.0:
         # From none to all of it, so that noise next to the limit makes no two verdicts.
         share = 1.0 if fitted.softness > 0.0 else min((misfit - FREE_FROM) / FREE_RAMP, 1.0)
         x, y = p[CX], p[CY]
         fit = _free(n, p, fitted, room)
-        p[CX], p[CY], beyond = x + share * (p[CX] - x), y + share * (p[CY] - y), share * fit.beyond
+        p[CX], p[CY] = x + share * (p[CX] - x), y + share * (p[CY] - y)
     det = fit.xx * fit.yy - fit.xy * fit.xy
     x, y = p[CX] + 0.5 * (spot[WX0] + spot[WX1] - 1.0), p[CY] + 0.5 * (spot[WY0] + spot[WY1] - 1.0)
     a, b = spot[SEMI_A], spot[SEMI_B]
@@ -211,10 +210,11 @@ def fit_edge_model(image, spot, neighbours, gain, room, out):
     out[2], out[3], out[4] = fit.yy / det, -fit.xy / det, fit.xx / det
     usual = sums[SIDE_VARIANCE] + (EVENNESS * p[RISE] * math.pi * a * b) ** 2
     out[5] = math.sqrt((sums[SIDE_X] ** 2 + sums[SIDE_Y] ** 2) / max(usual, 1e-9))
-    out[6] = fit.misfit
+    out[6] = fit.odd.misfit
     # Squared residuals grow with the light by the gain. The fit has taken some of them: as many as lit pixels
     # determine parameters, of the pixels that are lit.
     lit_pixels = sums[LIT_1] * sums[LIT_1] / max(sums[LIT_2], 1e-12)
     left = max(1.0 - fit.parameters / max(lit_pixels, 1e-9), 0.3)
     out[7], out[8] = sums[LIT_FOUND] / left - sums[LIT_READ], sums[LIT_2]
-    out[9] = beyond
+    out[9], out[10] = fit.odd.dipoles, fit.odd.dipoles_freedom
+    out[11], out[12], out[13] = fit.odd.finer, fit.odd.finer_freedom, share

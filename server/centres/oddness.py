@@ -8,9 +8,12 @@ degrees of freedom. What the shift has taken of the odd light is not seen; witho
 along the shift as is left beside it: the centre's variance is raised by one part for every unit of chi squared beyond
 what noise explains (within a factor of two for coma and for light beside the spot of any size). A quadrupole is even:
 it is taken off chi squared, and off the degrees of freedom, zone by zone.
+
+A streak is even too, but no ellipse, nor is its misfit a quadrupole alone. The third and fifth harmonics of the
+direction, cos and sin of three and five times its angle, are odd, and neither shift nor slopes nor anything even has a
+part in them: their chi squared tells of noise and other light, whatever the shape (`picture_noise`).
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -22,10 +25,25 @@ from asterism.server.segmentation.pixels import LANES, ONE, PX, PY, TWO, ZERO, f
 
 ZONES = -99.0, -3.5, -1.0, 0.0, 1.0, 99.0  # sigmas of blur from the edge, inwards: where zones of distance end
 # Sums of a zone.
-XX, XY, YY, DX, DY, CC, CS, SS, QC, QS, PIXELS = range(11)
-ZONE_SUMS = 11
+(
+    XX, XY, YY, DX, DY, CC, CS, SS, QC, QS, PIXELS,
+    XX_3, XY_3, YY_3, DX_3, DY_3, XX_5, XY_5, YY_5, DX_5, DY_5,
+) = range(21)  # fmt: skip
+ZONE_SUMS = 21
 LEAST_PIXELS = 6.0  # of a zone, to tell anything
 TAKEN = 4  # degrees of freedom, by shift and slopes
+
+
+class Odd(NamedTuple):
+    """What is left of a spot's light: chi squared per degree of freedom of what is neither even nor a dipole; chi
+    squared of the ``dipoles`` and that of the ``finer`` harmonics, each with its degrees of freedom.
+    """
+
+    misfit: float
+    dipoles: float
+    dipoles_freedom: float
+    finer: float
+    finer_freedom: float
 
 
 class Moved(NamedTuple):
@@ -72,12 +90,13 @@ def add_up_left(rows, n, floor, sums):
 
 @compiled_sums
 def add_up_zone(rows, n, low, high, zone):
-    """Fill ``zone`` (ZONE_SUMS,): dipole and quadrupole of what is left between two places ``low`` and ``high`` among
-    the knots, information and score; pixels.
+    """Fill ``zone`` (ZONE_SUMS,): dipole, quadrupole, third and fifth harmonic of what is left between two places
+    ``low`` and ``high`` among the knots, information and score; pixels.
     """
     ats, lefts, weights, aways_x, aways_y = rows[AT], rows[LEFT], rows[WEIGHT], rows[AWAY_X], rows[AWAY_Y]
     low, high = f32(low), f32(high)
     xx = xy = yy = dx = dy = cc = cs = ss = qc = qs = count = ZERO
+    xx_3 = xy_3 = yy_3 = dx_3 = dy_3 = xx_5 = xy_5 = yy_5 = dx_5 = dy_5 = ZERO
     for i in range(n // LANES * LANES):
         x, y = aways_x[i], aways_y[i]
         w = weights[i] if ats[i] > low and ats[i] <= high else ZERO
@@ -93,9 +112,23 @@ def add_up_zone(rows, n, low, high, zone):
         ss += w * s * s
         qc += wr * c
         qs += wr * s
+        x_3, y_3 = x * c - y * s, y * c + x * s
+        x_5, y_5 = x_3 * c - y_3 * s, y_3 * c + x_3 * s
+        xx_3 += w * x_3 * x_3
+        xy_3 += w * x_3 * y_3
+        yy_3 += w * y_3 * y_3
+        dx_3 += wr * x_3
+        dy_3 += wr * y_3
+        xx_5 += w * x_5 * x_5
+        xy_5 += w * x_5 * y_5
+        yy_5 += w * y_5 * y_5
+        dx_5 += wr * x_5
+        dy_5 += wr * y_5
         count += ONE if w > ZERO else ZERO
     zone[XX], zone[XY], zone[YY], zone[DX], zone[DY] = xx, xy, yy, dx, dy
     zone[CC], zone[CS], zone[SS], zone[QC], zone[QS], zone[PIXELS] = cc, cs, ss, qc, qs, count
+    zone[XX_3], zone[XY_3], zone[YY_3], zone[DX_3], zone[DY_3] = xx_3, xy_3, yy_3, dx_3, dy_3
+    zone[XX_5], zone[XY_5], zone[YY_5], zone[DX_5], zone[DY_5] = xx_5, xy_5, yy_5, dx_5, dy_5
 
 
 @compiled_sums
@@ -119,15 +152,21 @@ def _solve(xx, xy, yy, x, y):
 
 
 @compiled
+def _chi2(xx, xy, yy, x, y):
+    """Chi squared of two scores, given their information, and its degrees of freedom."""
+    by_x, by_y, told = _solve(xx, xy, yy, x, y)
+    return by_x * x + by_y * y, 2.0 * told
+
+
+@compiled
 def judge(rows, n, p, floor, determined, sums):
-    """Chi squared per degree of freedom of what is neither even nor a dipole, and how much odd light there is beyond
-    noise: the chi squared of the dipoles, in units of that, beyond its own expectation by more than one sigma.
+    """What is left of a spot's light, as `Odd`.
 
     ``rows`` hold what is left at the parameters ``p``, of which the quadrupoles are taken; then fills ``sums`` as
     `add_up_left` does. ``determined`` parameters have been fitted beside those of the model.
     """
     zone = np.empty(ZONE_SUMS)
-    odd = freedom = 0.0
+    odd = freedom = finer = finer_freedom = 0.0
     taken = PARAMETERS + determined
     scale = p[BLUR] / spacing_of(p)
     for k in range(len(ZONES) - 1):
@@ -135,14 +174,19 @@ def judge(rows, n, p, floor, determined, sums):
         add_up_zone(rows, n, low, high, zone)
         if zone[PIXELS] < LEAST_PIXELS:
             continue
-        x, y, told = _solve(zone[XX], zone[XY], zone[YY], zone[DX], zone[DY])
-        odd += x * zone[DX] + y * zone[DY]
-        freedom += 2.0 * told
+        chi2, more = _chi2(zone[XX], zone[XY], zone[YY], zone[DX], zone[DY])
+        odd += chi2
+        freedom += more
+        chi2, more = _chi2(zone[XX_3], zone[XY_3], zone[YY_3], zone[DX_3], zone[DY_3])
+        finer += chi2
+        finer_freedom += more
+        chi2, more = _chi2(zone[XX_5], zone[XY_5], zone[YY_5], zone[DX_5], zone[DY_5])
+        finer += chi2
+        finer_freedom += more
         x, y, told = _solve(zone[CC], zone[CS], zone[SS], zone[QC], zone[QS])
         _subtract_quadrupole(rows, n, low, high, x, y)
         taken += 2.0 * told
     add_up_left(rows, n, floor, sums)
     freedom = max(freedom - TAKEN, 0.0)
     misfit = (sums[CHI2] - odd) / max(sums[COUNT] - taken - freedom, 1.0)
-    beyond = odd / max(misfit, 1.0) - freedom - math.sqrt(2.0 * freedom)
-    return misfit, max(beyond, 0.0)
+    return Odd(misfit, odd, freedom, finer, finer_freedom)

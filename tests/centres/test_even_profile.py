@@ -26,7 +26,7 @@ from asterism.server.centres.even_profile import (
     spacing_of,
     subtract_profile,
 )
-from asterism.server.centres.oddness import LEAST_PIXELS, TAKEN, ZONES, Moved, judge, take_step
+from asterism.server.centres.oddness import LEAST_PIXELS, TAKEN, ZONES, Moved, Odd, judge, take_step
 from asterism.server.segmentation.pixels import LANES, PX, PY, room_for
 
 PIXELS = 14 * LANES
@@ -90,27 +90,35 @@ def test_the_odd_block_is_summed_over_what_the_profile_leaves(rng: np.random.Gen
         assert sums[place] == pytest.approx(np.sum(w * value), rel=1e-3, abs=1.0)
 
 
-def reference(rows: Floats, p: Floats, determined: float) -> tuple[float, float]:
+def harmonic(rows: Floats, number: int) -> Floats:
+    """cos and sin of so many times the outward direction (pixels, 2)."""
+    angles = number * np.arctan2(rows[AWAY_Y].astype(np.float64), rows[AWAY_X].astype(np.float64))
+    return np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def reference(rows: Floats, p: Floats, determined: float) -> Odd:
     """`oddness.judge`, zone by zone with dense least squares."""
     w, left = rows[WEIGHT].astype(np.float64), rows[LEFT].astype(np.float64)
-    x, y = rows[AWAY_X].astype(np.float64), rows[AWAY_Y].astype(np.float64)
     inwards = (rows[AT] - EDGE_KNOT) * spacing_of(p) / p[BLUR]
-    odd, freedom, taken = 0.0, 0, PARAMETERS + determined
+    odd, freedom, finer, finer_freedom, taken = 0.0, 0, 0.0, 0, PARAMETERS + determined
     for low, high in pairwise(ZONES):
         zone = (inwards > low) & (inwards <= high) & (w > 0)
         if np.count_nonzero(zone) < LEAST_PIXELS:
             continue
         root, left_here = np.sqrt(w[zone]), left[zone].copy()
-        dipole = root[:, None] * np.column_stack([x, y])[zone]
-        fit = dipole @ np.linalg.lstsq(dipole, root * left_here, rcond=None)[0]
-        odd += fit @ fit
-        quadrupole = np.column_stack([x * x - y * y, 2 * x * y])[zone]
+        explained = []
+        for number in (1, 3, 5):
+            columns = root[:, None] * harmonic(rows, number)[zone]
+            explained.append(np.sum(np.square(columns @ np.linalg.lstsq(columns, root * left_here, rcond=None)[0])))
+        odd += explained[0]
+        finer, finer_freedom = finer + explained[1] + explained[2], finer_freedom + 4
+        quadrupole = harmonic(rows, 2)[zone]
         amplitudes = np.linalg.lstsq(root[:, None] * quadrupole, root * left_here, rcond=None)[0]
         left[zone] = left_here - quadrupole @ amplitudes
         freedom, taken = freedom + 2, taken + 2
     freedom -= TAKEN
     misfit = (np.sum(w * left * left) - odd) / (np.count_nonzero(w) - taken - freedom)
-    return misfit, max(odd / max(misfit, 1.0) - freedom - np.sqrt(2 * freedom), 0.0)
+    return Odd(misfit, odd, freedom, finer, finer_freedom)
 
 
 @pytest.mark.parametrize("dipole", [0.0, 4.0])
@@ -118,20 +126,21 @@ def test_odd_light_is_told_from_noise_as_the_reference_tells_it(rng: np.random.G
     _, rows, p = drawn(rng)
     rows[LEFT] = rng.normal(0, 1.8, PIXELS) + dipole * rows[AWAY_X] * np.cos(rows[AT])
     expected = reference(rows.copy(), p, 8.0)
-    misfit, beyond = judge(rows, PIXELS, p, FLOOR, 8.0, np.zeros(SUMS))
-    assert misfit == pytest.approx(expected[0], rel=1e-3)
-    assert beyond == pytest.approx(expected[1], rel=1e-3, abs=1e-3)
-    assert (beyond > 10.0) == (dipole > 0.0)
+    odd = judge(rows, PIXELS, p, FLOOR, 8.0, np.zeros(SUMS))
+    np.testing.assert_allclose(odd, expected, rtol=1e-3)
+    assert (odd.dipoles / odd.misfit > 20.0) == (dipole > 0.0)
 
 
 def test_an_even_pattern_of_any_size_is_no_odd_light(rng: np.random.Generator) -> None:
-    # Pixels in pairs on opposite sides: whatever is the same on both leaves no dipole at all.
+    # Pixels in pairs on opposite sides: whatever is the same on both leaves no odd harmonic at all.
     _, rows, p = drawn(rng)
     half = PIXELS // 2
     rows[:, half:] = rows[:, :half]
     rows[[AWAY_X, AWAY_Y], half:] *= -1.0
-    _, beyond = judge(rows, PIXELS, p, FLOOR, 8.0, np.zeros(SUMS))
-    assert beyond == 0.0
+    odd = judge(rows, PIXELS, p, FLOOR, 8.0, np.zeros(SUMS))
+    assert odd.dipoles == pytest.approx(0.0, abs=1e-3)
+    assert odd.finer == pytest.approx(0.0, abs=1e-3)
+    assert odd.dipoles_freedom + odd.finer_freedom == 6 + 20
 
 
 def test_a_step_takes_what_it_explains(rng: np.random.Generator) -> None:
