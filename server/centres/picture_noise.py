@@ -22,6 +22,10 @@ from asterism.server.compiled import compiled
 from asterism.server.segmentation.spot_table import ANGLE, FATE, SEMI_A, SEMI_B, UNEXPLAINED
 
 OUT = 14  # entries of what an estimator tells of a spot, as `edge_model.fit_edge_model`
+LEAST_SPOTS = 5  # fewer do not tell the picture's noise from what leans on themselves
+# Beyond this ratio, or where a quarter of the spots have less than this share of it, it is light on most spots
+# (mirrors, lamps), not noise of the picture: JPEG 85 is 3.
+NOISIEST, COMMON = 3.5, 0.6
 ERROR = 0.35  # of the median of ratios, times the root of their number: 1.25 sqrt(2 / 26)
 # From the median to the lower quartile chance takes a ratio by a fifth: what is more is the picture's unevenness.
 USUAL_SPREAD, UNEVENNESS = 1.25, 2.0
@@ -48,12 +52,12 @@ def picture_noise(spots, outs):
             ratio = (outs[k, 9] + outs[k, 11]) / freedom if freedom > 0.0 else 1.0
             ratios[count] = 1.0 + outs[k, 13] * (ratio - 1.0)
             count += 1
-    if count == 0:
+    if count < LEAST_SPOTS:
         return PictureNoise(1.0, 1.0)
     ratios = np.sort(ratios[:count])
-    median, low = ratios[count // 2], ratios[count // 4]
+    median, low = ratios[(count - 1) // 2], ratios[count // 4]
     excess = median - 1.0
-    if excess <= 0.0:
+    if excess <= 0.0 or median > NOISIEST or low < COMMON * median:
         return PictureNoise(1.0, 1.0)
     ratio = 1.0 + excess * max(1.0 - ERROR * ERROR / (count * excess * excess), 0.0)
     spread = max(median / max(low, 1e-9) / USUAL_SPREAD, 1.0)
