@@ -9,6 +9,7 @@ from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import Rig
 from asterism.server.centres.blobs import Blobs, find_blobs
 from asterism.server.centres.common_light import find_common_light
+from asterism.server.centres.compression import is_compressed
 from asterism.server.centres.leaning_spots import refine_leaning
 from asterism.server.chain.answers import answers_of
 from asterism.server.chain.frame import Frame, FrameResult
@@ -73,7 +74,8 @@ def _blobs(image: NDArray[np.uint8], plan: Plan) -> Blobs:
 
 def _part_leaning(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> None:
     """Centre those robots' spots anew that other light leans on: in the blobs and in the rays."""
-    if not np.count_nonzero(blobs.table[:, SHOULDER]):
+    # What compression leaves beside a spot is no light.
+    if not np.count_nonzero(blobs.table[:, SHOULDER]) or is_compressed(image):
         return
     # What LEDs whose light is known are strange by is their own.
     leaning = found.assignment[~plan.has_scatter[found.robots]]

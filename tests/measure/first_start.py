@@ -36,6 +36,8 @@ from asterism.server.chain.kernel_list import (
     kernel_list,
     text_of,
 )
+from asterism.server.identity.evidence import Version, version_of
+from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import plan_for
 from asterism.server.kernel import Kernel
 from asterism.server.pose.lens import undistort
@@ -64,6 +66,11 @@ def chain(estimator: str) -> None:
             _, tracks = localize(Frame(image, index * 16_666_667 + 1, index), asked, tracks)
         # Only where a spot was centred anew together with the light that leans on it, which is rare.
         undistort(plan_for(asked).lens, np.empty((0, 2)), np.empty((0, 3)), np.empty((0, 2)), np.empty((0, 3)))
+        # Only where six spots fit with a ruler's tolerance.
+        six, places, version = np.zeros(6), np.arange(6), Version(np.empty(6, np.int64), np.empty((3, 3)), np.empty(3))
+        spots = Spots(np.zeros((6, 2)), np.zeros((6, 2)), six, six, six, np.ones(6, np.bool_))
+        plan = plan_for(asked)
+        version_of(plan.layouts[0], float(plan.extents[0]), places, spots, plan.focal, 1.0, 1, version)
 
 
 def simulate() -> None:

@@ -154,7 +154,8 @@ def test_locate_says_who_was_found_and_on_a_pipe_nothing_before_the_end(film: Pa
     for part in ("rig.yaml", "camera.yaml"):
         (tmp_path / part).write_text((film / part).read_text().replace("range: [0.9, 1.6]", "range: [2.5, 4.0]"))
     done = asterism("locate", tmp_path / "rig.yaml", film / "frames", "-o", tmp_path / "none.jsonl")
-    assert f"alpha    {FRAMES} LOST: its constellation is not among the spots" in done.stderr
+    assert f"alpha    {FRAMES} LOST: its constellation is seen at 1.2" in done.stderr
+    assert "nearer than range (2.5 m): change range, or move it" in done.stderr
     assert "but the rig's range is 2.5 to 4 m: change `range`" in done.stderr.splitlines()[-1]
 
 

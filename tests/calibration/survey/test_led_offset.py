@@ -102,7 +102,7 @@ def test_a_survey_that_is_off_itself_is_noticed_and_one_wrong_pose_left_out(rng:
     angles = np.radians(np.arange(0.0, 50.0, 5.0))
     across = np.sin(angles) * (found.offset.shift(angles) - sharp.shift(angles))  # the line of sight: what is seen
     assert np.abs(across).max() < 0.04e-3
-    assert (np.abs(found.offset.values - sharp.values) < 4 * found.sigmas).all()
+    assert (np.abs(found.offset.values - sharp.values) < 5 * found.sigmas).all()
 
 
 @pytest.fixture(scope="module")
