@@ -20,4 +20,5 @@ def is_compressed(image: NDArray[np.uint8]) -> bool:
     median = int(np.median(rows[:, ::EVERY_ROW]))
     background = rows[:, 1:] <= min(median + LEVELS, 254)
     equal = (rows[:, 1:] == rows[:, :-1]) & background
-    return bool(np.count_nonzero(equal) > EQUAL * max(np.count_nonzero(background), 1))
+    counted, most = int(background.sum()), int(equal.sum())
+    return most > EQUAL * max(counted, 1)
