@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from asterism.protocol.geometry import Floats
 from asterism.server.identity.evidence import AROUND, surroundings
 from asterism.server.identity.hypotheses import ROBOT, Found
+from asterism.server.identity.led_size import size_of
 from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan
 from asterism.server.identity.search import searched
@@ -61,7 +62,7 @@ def fours(
     spots = spots._replace(free=usable)
     # As if all were known, and the sought ones but dim: what is found then is a hypothesis.
     _, fits = searched(spots, plan, np.ones(len(sought), np.bool_), np.where(sought, 0.0, np.inf), 4, alone=True)
-    sizes = [_size(spots, plan, robot, labels, rotation, t) for robot, labels, rotation, t in found]
+    sizes = [size_of(spots, plan, robot, labels, rotation, t) for robot, labels, rotation, t in found]
     size = _typical_size(sizes)
     candidates = [
         four
@@ -145,15 +146,8 @@ def _refitted(robot: int, labels: NDArray[np.int64], sigma_px: float, spots: Spo
         return []
     variance = float(median_of(spots.variances, labels)) * plan.focal**2
     used, residual_px2 = frozenset(labels[labels >= 0].tolist()), chi2 * (sigma_px**2 + variance)
-    size = _size(spots, plan, robot, labels, rotation, t)
+    size = size_of(spots, plan, robot, labels, rotation, t)
     return [_Four(robot, labels, used, residual_px2, variance, size, area, rotation, t)]
-
-
-def _size(spots: Spots, plan: Plan, robot: int, labels: NDArray[np.int64], rotation: Floats, t: Floats) -> float:
-    """Logarithm of the spots' radii over those of the robot's LEDs at its pose; nan if the rig does not say theirs."""
-    facing = -float(rotation[:, 2] @ t) / float(np.linalg.norm(t))
-    expected = plan.led_radii[robot] * plan.focal / float(np.linalg.norm(t)) * math.sqrt(max(facing, 1e-3))
-    return float(np.log(median_of(spots.radii, labels) / expected))
 
 
 def _odds(four: _Four, sigma_px: float, size: tuple[float, float], plan: Plan, robots: int) -> float:

@@ -22,10 +22,11 @@ from asterism.server.centres.blobs import Ints
 from asterism.server.identity.assign import CHANCE, Hypothesis, assign
 from asterism.server.identity.evidence import Version, version_of
 from asterism.server.identity.hypotheses import COST, ROBOT, Found
+from asterism.server.identity.led_size import size_of
 from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan
 from asterism.server.identity.search import FARTHER_BELOW, searched
-from asterism.server.pose.fit import LEDS, SYSTEMATIC_PX, median_of
+from asterism.server.pose.fit import LEDS, SYSTEMATIC_PX
 
 RULER_M = 1e-3  # what LED positions are off where they were measured with a ruler, one sigma an axis
 MOST_PX, LEAST_PX = 2.0, 0.5  # of what that may look like, and does at least
@@ -101,7 +102,7 @@ def loose(
         return [], {}
     spots = spots._replace(free=free)
     fits = _fits(spots, plan, misfits, wanted)
-    sizes = [_size(spots, plan, robot, labels, rotation, t) for robot, labels, rotation, t in found]
+    sizes = [size_of(spots, plan, robot, labels, rotation, t) for robot, labels, rotation, t in found]
     sizes += [fit.size for fit in fits]
     claimed: dict[int, Hypothesis] = {}
     alike = [len(found), *[0] * (len(SIGMAS_PX) - 1)]
@@ -153,16 +154,9 @@ def _fits(spots: Spots, plan: Plan, misfits: Floats, wanted: NDArray[np.bool_]) 
             if scored := _scored(robot, labels, spots, plan, float(misfits[robot]) / per_px):
                 cost_px = math.sqrt(float(fits.values[k, COST])) * tolerance_px(plan)
                 safe = FARTHER_BELOW * cost_px * per_px <= plan.separations[robot]
-                size = _size(spots, plan, robot, labels, fits.rotations[k], fits.ts[k])
+                size = size_of(spots, plan, robot, labels, fits.rotations[k], fits.ts[k])
                 told.append(_Fit(scored, cost_px / math.sqrt(LEDS), safe, size))
     return told
-
-
-def _size(spots: Spots, plan: Plan, robot: int, labels: Ints, rotation: Floats, t: Floats) -> float:
-    """Logarithm of the spots' radii over those of the robot's LEDs at its pose; nan if the rig does not say theirs."""
-    facing = -float(rotation[:, 2] @ t) / float(np.linalg.norm(t))
-    expected = plan.led_radii[robot] * plan.focal / float(np.linalg.norm(t)) * math.sqrt(max(facing, 1e-3))
-    return float(np.log(median_of(spots.radii, labels) / expected))
 
 
 def _alike_in_size(fit: _Fit, sizes: list[float], plan: Plan) -> float:
