@@ -4,6 +4,7 @@ Every sub-message is set, even where it is zero: rerun's importer refuses an uns
 equal values have equal bytes.
 """
 
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -17,14 +18,16 @@ from google.protobuf.message import Message as Protobuf
 from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
+from asterism import __version__
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.camera import Camera
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose
-from asterism.protocol.messages import RobotPose
+from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, PROTOCOL, STATUS, Message, RobotPose
 from asterism.protocol.rig import Rig
 
 SECOND_NS = 1_000_000_000
+_PUBLISHED = "published_ns"
 
 M = TypeVar("M", bound=Protobuf)
 
@@ -69,7 +72,7 @@ def encode_odometry(told: RobotPose) -> bytes:
         ("leds", str(told.leds)),
         ("rms_px", f"{told.rms_px:.5g}"),
         ("sequence", str(told.sequence)),
-        ("published_ns", str(told.published_ns)),
+        ("session", str(told.session)),
     ):
         message.metadata.add(key=key, value=value)
     if told.smoothed_by:
@@ -77,7 +80,41 @@ def encode_odometry(told: RobotPose) -> bytes:
         message.metadata.add(key="filter", value=told.smoothed_by)
     if told.extrapolated:
         message.metadata.add(key="extrapolated", value="true")
+    return to_bytes(message) + (_odometry_stamp(told.published_ns) if told.published_ns else b"")
+
+
+def _odometry_stamp(published_ns: int) -> bytes:
+    """One more pair of metadata, last of the message."""
+    message = Odometry()
+    message.metadata.add(key=_PUBLISHED, value=str(published_ns))
     return to_bytes(message)
+
+
+def in_session(message: Message, session: int) -> Message:
+    """The message told in another session, as a replay does: the last of equal fields and keys holds."""
+    payload = message.payload
+    if message.kind.schema == ODOMETRY.schema:
+        told = Odometry()
+        told.metadata.add(key="session", value=str(session))
+        payload += to_bytes(told)
+    elif message.kind.schema == FRAME_REPORT.schema:
+        payload += to_bytes(pb.FrameReport(session=session))
+    elif message.kind.schema == STATUS.schema:
+        payload += to_bytes(pb.Status(session=session))
+    return replace(message, payload=payload)
+
+
+def stamped(message: Message, published_ns: int) -> Message:
+    """The message as it goes out at that time, ns since the Unix epoch: poses and frame reports tell it.
+
+    Protobuf lets a field come last: the bytes that are there stay as they are, and stamping takes no encoding.
+    """
+    payload = message.payload
+    if message.kind is ODOMETRY:
+        payload += _odometry_stamp(published_ns)
+    elif message.kind is FRAME_REPORT:
+        payload += to_bytes(pb.FrameReport(published_ns=published_ns))
+    return replace(message, payload=payload, publish_ns=published_ns)
 
 
 def decode_odometry(payload: bytes) -> RobotPose:
@@ -97,7 +134,8 @@ def decode_odometry(payload: bytes) -> RobotPose:
             rms_px=float(metadata["rms_px"]),
             sequence=int(metadata["sequence"]),
             exposed_ns=_nanoseconds(message.timestamp),
-            published_ns=int(metadata["published_ns"]),
+            published_ns=int(metadata.get(_PUBLISHED, "0")),
+            session=int(metadata.get("session", "0")),
             smoothed_by=metadata.get("filter", ""),
             extrapolated=metadata.get("extrapolated") == "true",
         )
@@ -137,7 +175,12 @@ def report_pose(message: "pb.Pose") -> Pose:
     return Pose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
 
 
-# Rig report: rig and calibration in force.
+def decode_beat(payload: bytes) -> "pb.Beat":
+    """Raises InputError for bytes that are none."""
+    return _parse(pb.Beat(), payload)
+
+
+# Rig report: rig and calibration in force, and who answers.
 
 
 def encode_rig(rig: Rig) -> bytes:
@@ -154,6 +197,8 @@ def encode_rig(rig: Rig) -> bytes:
         rig_yaml=rig.rig_text,
         camera_yaml=rig.camera_text,
         offset_yaml=rig.offset_texts,
+        version=__version__,
+        protocol=PROTOCOL,
     )
     if rig.T_world_camera is not None:
         _set_pose(message.world_camera, rig.T_world_camera)

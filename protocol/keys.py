@@ -25,6 +25,11 @@ def status(camera: str) -> str:
     return f"{PREFIX}/{camera}/status"
 
 
+def beat(camera: str) -> str:
+    """The server's beat, five times a second, whatever its camera does."""
+    return f"{PREFIX}/{camera}/beat"
+
+
 def alive(camera: str) -> str:
     """Liveliness token of the server."""
     return f"{PREFIX}/{camera}/alive"

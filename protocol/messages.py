@@ -10,6 +10,9 @@ from asterism.protocol.geometry import Floats, Pose
 
 State = pb.State
 Fate = pb.Fate
+Clock = pb.Clock
+
+PROTOCOL = 2  # of these messages, told by every rig reply and recording; a message that tells none is of 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +31,7 @@ class Kind:
 ODOMETRY = Kind("foxglove.Odometry", on_wire=True)
 FRAME_REPORT = Kind("asterism.FrameReport", on_wire=True)
 STATUS = Kind("asterism.Status", on_wire=True)
+BEAT = Kind("asterism.Beat", on_wire=True)
 RIG_REPORT = Kind("asterism.RigReport", on_wire=True)
 TRANSFORMS = Kind("foxglove.FrameTransforms", on_wire=False)
 ANNOTATIONS = Kind("foxglove.ImageAnnotations", on_wire=False)
@@ -37,7 +41,10 @@ IMAGE = Kind("foxglove.RawImage", on_wire=False)
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message. Times are ns since the Unix epoch; ``log_ns`` is the mid-exposure of what it tells about."""
+    """One message. Times are ns since the Unix epoch; ``log_ns`` is the mid-exposure of what it tells about.
+
+    ``publish_ns`` is 0 until the message goes out: `codec.stamped` enters it, there and in the payload.
+    """
 
     key: str
     kind: Kind
@@ -54,7 +61,8 @@ class RobotPose:
     ``pose`` is T_<frame_id>_<robot>; ``covariance`` (6, 6) in m and rad: x, y, z, rotation about x, y, z of the
     parent frame; ``state`` is TRACKED or TILT_AMBIGUOUS; ``smoothed_by`` names the filter that joined the pose to those
     of frames before, empty where the pose rests on this frame alone; ``extrapolated``: the rig corrects Z, but no
-    surveyed pose was near, so the correction is faded or cut off.
+    surveyed pose was near, so the correction is faded or cut off; ``session`` is the server's, 0 where frames were
+    solved again; ``published_ns`` 0 where it did not go out.
     """
 
     robot: str
@@ -67,6 +75,7 @@ class RobotPose:
     sequence: int
     exposed_ns: int
     published_ns: int
+    session: int = field(default=0, kw_only=True)
     smoothed_by: str = field(default="", kw_only=True)
     extrapolated: bool = field(default=False, kw_only=True)
 

@@ -24,6 +24,7 @@ from asterism.server.service.publish import Publisher
 from asterism.server.service.serve import Outlets, Run, Stop, stop_on_signals
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.simulation.simulate import Look
+from asterism.server.sources.session_clock import SessionClock
 from asterism.server.sources.simulated import Simulated
 
 EXAMPLES = "asterism demo\nasterism demo --seconds 5 --record /tmp\n"
@@ -47,10 +48,10 @@ def run(options: argparse.Namespace) -> int:
     check_folder_of_many(options.record)
     rig = load_rig(DEMO_RIG)
     console = Console()
-    stop = Stop()
+    clock, stop = SessionClock(), Stop()
     with ExitStack() as stack:
         session: zenoh.Session = open_server(options.listen, options.connect, options.zenoh)
-        publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig)))
+        publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig), clock))
         warm_up(*localizing(rig, "sim"))
         stack.enter_context(stop_on_signals(stop))
         source = Simulated(rig, look=LOOK)
@@ -58,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
         stack.callback(table.subscribe(session).clear)
         drawing = threading.Thread(target=show, args=(table, console, drawn), name="table")
         recorder = Recorder(options.record, rig, source.name, 1, wait=True)
-        served = Run(rig, source, Outlets(publisher, recorder), stop)
+        served = Run(rig, source, Outlets(publisher, recorder), stop, clock)
         drawing.start()
         try:
             if not options.forever:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 
 from asterism.protocol import asterism_pb2 as pb
-from asterism.protocol.codec import decode_frame_report, encode_rig
+from asterism.protocol.codec import decode_frame_report, encode_rig, in_session, stamped
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import FRAME_REPORT, Message
 from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
@@ -15,6 +15,7 @@ from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.reader import Recording
 from asterism.server.command.number_arguments import positive
 from asterism.server.command.shared_arguments import add_recording, add_server, client_words
+from asterism.server.service.play_clock import PlayClock
 from asterism.server.service.publish import Publisher, is_alive
 from asterism.server.service.say import say
 from asterism.server.service.serve import Stop, stop_on_signals
@@ -63,7 +64,8 @@ def run(options: argparse.Namespace) -> int:
                 "Stop it first, or replay without --as-live"
             )
         prefix = "" if options.as_live else PREFIX
-        publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig), prefix))
+        clock = PlayClock(options.speed)
+        publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig), clock, prefix))
         if options.solve is not None:
             from asterism.server.chain.warm_up import localizing, warm_up
 
@@ -76,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
         published = 0
         while not stop():
             source = _solved(recording, rig) if options.solve is not None else recording.messages()
-            published += _play(_wire(source), publisher, options.speed, stop)
+            published += _play(_wire(source), publisher, clock, stop)
             if not options.loop:
                 break
     say(f"{'stopped after ' if stop() else ''}{published} messages published")
@@ -101,23 +103,20 @@ def _solved(recording: Recording, rig: Rig) -> Iterator[Message]:
         frame = Frame(image, exposed_ns, index, f"{index:06d}", exposed_ns)
         result, tracks = localize(frame, rig, tracks)
         # Solved again, the frame has no times of its own beyond its exposure.
-        yield from report(frame, result, rig, exposed_ns, exposed_ns)
+        yield from (stamped(message, exposed_ns) for message in report(frame, result, rig, exposed_ns))
 
 
-def _play(messages: Iterator[Message], publisher: Publisher, speed: float, stop: Stop) -> int:
-    """Publish messages, spaced as their publish times are; returns how many."""
+def _play(messages: Iterator[Message], publisher: Publisher, clock: PlayClock, stop: Stop) -> int:
+    """Publish messages, spaced as their publish times are, in a session of this play; returns how many."""
     count = 0
-    first_ns: int | None = None
-    start = time.perf_counter()
     for message in messages:
-        if first_ns is None:
-            first_ns, start = message.publish_ns, time.perf_counter()
-        due = start + (message.publish_ns - first_ns) * 1e-9 / speed
-        while (left := due - time.perf_counter()) > 0 and not stop():
-            time.sleep(min(left, 0.05))
+        if not count:
+            clock.begin(message.publish_ns)
+        while (left_ns := message.publish_ns - clock.now_ns()) > 0 and not stop():
+            time.sleep(min(left_ns * 1e-9 / clock.rate, 0.05))
         if stop():
             break
-        publisher.publish([message])
+        publisher.put(in_session(message, clock.session))
         count += 1
         if message.kind.schema == FRAME_REPORT.schema:
             report = decode_frame_report(message.payload)

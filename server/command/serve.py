@@ -17,6 +17,7 @@ from asterism.server.service.live_line import LiveLine
 from asterism.server.service.publish import Publisher
 from asterism.server.service.say import say, say_warnings
 from asterism.server.service.serve import Outlets, Run, Sink, Stop, stop_on_signals
+from asterism.server.sources.camera import clock_of
 from asterism.server.sources.open_source import open_source
 from asterism.server.sources.source import Source
 
@@ -62,10 +63,10 @@ def run(options: argparse.Namespace) -> int:
     source = open_source(options.source, rig, say)
     if source.live and options.rate is not None:
         raise InputError("--rate is for images and videos; a camera's rate stands in the rig (capture.rate)")
-    stop = Stop()
+    clock, stop = clock_of(source), Stop()
     with ExitStack() as stack:
         session = open_server(options.listen, options.connect, options.zenoh)
-        publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig)))
+        publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig), clock))
         warm_up(*localizing(rig, options.source))
         stack.enter_context(stop_on_signals(stop))
         sinks: tuple[Sink, ...] = ()
@@ -77,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
         robots = f"{len(rig.robots)} robot{'s' * (len(rig.robots) > 1)}"
         say(f"serving {robots} of camera '{rig.camera.name}' from {source.name} at {where}")
         recorder = _recorder(options, rig, source)
-        served = Run(rig, source, Outlets(publisher, recorder, sinks), stop)
+        served = Run(rig, source, Outlets(publisher, recorder, sinks), stop, clock)
         try:
             with LiveLine(served.now):
                 served.serve(options.rate, options.smooth)

@@ -32,6 +32,7 @@ class Health:
         self.frames_dropped = 0
         self.frames_unreadable = 0
         self.frames_not_recorded = 0
+        self.messages_not_recorded = 0
         self.problem = ""
 
     def add(self, frame: Frame, result: FrameResult, solved_ns: int, published_ns: int) -> None:
@@ -51,7 +52,7 @@ class Health:
         with self._lock:
             self._recent.append(entry)
 
-    def message(self, now_ns: int) -> Message:
+    def message(self, now_ns: int, session: int = 0) -> Message:
         """The status message for the last second."""
         with self._lock:
             while self._recent and self._recent[0][0] < now_ns - WINDOW_NS:
@@ -79,5 +80,7 @@ class Health:
             rejected=dict(rejected),
             robots=Counter(self.tally.newest().values()) if recent else {},
             problem=self.problem,
+            messages_not_recorded=self.messages_not_recorded,
+            session=session,
         )
         return Message(keys.status(self._camera), STATUS, to_bytes(status), now_ns, now_ns, sequence)

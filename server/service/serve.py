@@ -2,7 +2,6 @@
 
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import NamedTuple
@@ -25,6 +24,7 @@ from asterism.server.service.say import say
 from asterism.server.service.threads import Feed, Ticker
 from asterism.server.sources.camera import Camera
 from asterism.server.sources.paced import paced
+from asterism.server.sources.session_clock import SessionClock
 from asterism.server.sources.source import Source
 
 STATUS_EVERY_S = 1.0
@@ -75,8 +75,9 @@ def stop_on_signals(stop: Stop) -> Iterator[None]:
 class Run:
     """One run of the server: its source, where its messages go, how it is doing."""
 
-    def __init__(self, rig: Rig, source: Source, outlets: Outlets, stop: Stop) -> None:
+    def __init__(self, rig: Rig, source: Source, outlets: Outlets, stop: Stop, clock: SessionClock) -> None:
         self.rig = rig
+        self.clock = clock
         self.source = source
         self.outlets = outlets
         self.stop = stop
@@ -91,7 +92,7 @@ class Run:
         has joined to those before. Raises what the source raises; what was recorded by then is kept.
         """
         source = self.source
-        frames = source.frames() if source.live else paced(source.frames(), rate_hz, self.stop)
+        frames = source.frames() if source.live else paced(source.frames(), rate_hz, self.stop, self.clock)
         with ExitStack() as stack:
             feed = Feed(frames, source.live)
             stack.callback(feed.close)
@@ -137,15 +138,17 @@ class Run:
         health.frames_unreadable = self.source.unreadable
         if recorder is not None:
             health.frames_not_recorded = recorder.frames_left_out
+            health.messages_not_recorded = recorder.messages_left_out
         waiting = self.source.problem if isinstance(self.source, Camera) else ""
         health.problem = waiting or (recorder.problem if recorder is not None else "")
 
     def _tick(self, feed: Feed) -> None:
         """Once a second: tell the status, say what is to be said."""
         self._count(feed)
-        now = time.time_ns()
-        status = [self.health.message(now)]
-        self.outlets.publisher.publish(status)
+        if (step_ns := self.clock.look()) is not None:
+            say(f"this machine's clock was set by {step_ns * 1e-9:+.3f} s; a new session begins")
+        now = self.clock.now_ns()
+        status = self.outlets.publisher.publish([self.health.message(now, self.clock.session)])
         if self.outlets.recorder is not None:
             self.outlets.recorder.write(status, None, now, 0)
         if self._disk is not None:
@@ -166,9 +169,8 @@ class Run:
             result, tracks = localize(frame, rig, tracks)
             if smoothed:
                 result, motions = smooth(result, motions)
-            solved_ns = time.time_ns()
-            messages = report(frame, result, rig, solved_ns, time.time_ns())
-            publisher.publish(messages)
+            solved_ns = self.clock.now_ns(frame.session)
+            messages = publisher.publish(report(frame, result, rig, solved_ns), frame.session)
             located = (robot for robot, answer in result.answers.items() if isinstance(answer, PoseEstimate))
             publisher.show_visible(located)
             self.health.add(frame, result, solved_ns, messages[-1].publish_ns)

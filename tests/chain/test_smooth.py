@@ -130,15 +130,15 @@ def test_only_what_was_asked_to_be_smoothed_is_changed_and_it_is_labelled(
     motions = Motions.none()
     first = RIG.robots[0].id
     for frame, result in demo_film:
-        before = [message.payload for message in report(frame, result, RIG, 2, 3)]
+        before = [message.payload for message in report(frame, result, RIG, 2)]
         told, after = smooth(result, motions)
         # The memory handed in is unchanged, and so are the frame's own poses.
         assert smooth(result, motions)[0].answers[first].state == told.answers[first].state
         motions = after
-        assert [message.payload for message in report(frame, result, RIG, 2, 3)] == before
+        assert [message.payload for message in report(frame, result, RIG, 2)] == before
         assert all("smoothed" not in robot for robot in line(frame, result)["robots"])
         assert b"smoothed" not in before[0]
-        messages, entries = report(frame, told, RIG, 2, 3), frame_report(frame, told, RIG, 2, 3).robots
+        messages, entries = report(frame, told, RIG, 2), frame_report(frame, told, RIG, 2).robots
         for robot in line(frame, told)["robots"]:
             assert robot["smoothed"] is True
             assert robot["filter"] == FILTER
@@ -173,6 +173,6 @@ def test_the_same_three_arguments_give_the_same_bytes(demo_film: list[tuple[Fram
         payloads = []
         for frame, result in demo_film:
             smoothed, motions = smooth(result, motions)
-            payloads += [message.payload for message in report(frame, smoothed, RIG, 2, 3)]
+            payloads += [message.payload for message in report(frame, smoothed, RIG, 2)]
         told.append(payloads)
     assert told[0] == told[1]

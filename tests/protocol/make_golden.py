@@ -1,6 +1,7 @@
 """Values whose encoding is fixed for ever, and the golden files made of them: `python -m tests.protocol.make_golden`.
 
-Run it only when the wire format changes on purpose; what changed shows in the JSON beside the bytes.
+Run it only when the wire format changes on purpose; what changed shows in the JSON beside the bytes. The files of
+earlier versions (golden/1) are never made again: today's code must read them.
 """
 
 import numpy as np
@@ -9,13 +10,21 @@ from google.protobuf.message import Message
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.camera import Camera
-from asterism.protocol.codec import encode_calibration, encode_odometry, encode_rig, encode_transforms, to_bytes
+from asterism.protocol.codec import (
+    decode_rig,
+    encode_calibration,
+    encode_odometry,
+    encode_rig,
+    encode_transforms,
+    to_bytes,
+)
 from asterism.protocol.geometry import Pose
-from asterism.protocol.messages import RobotPose
+from asterism.protocol.messages import PROTOCOL, RobotPose
 from asterism.protocol.rig import Rig, Robot
 from tests.helpers import REPOSITORY
 
-GOLDEN = REPOSITORY / "protocol" / "golden"
+GOLDEN = REPOSITORY / "protocol" / "golden" / str(PROTOCOL)
+SESSION = 1_234_567_890_123_456_789
 EXPOSED_NS = 1_795_398_896_123_456_789
 
 ROBOT_POSE = RobotPose(
@@ -29,6 +38,7 @@ ROBOT_POSE = RobotPose(
     sequence=42,
     exposed_ns=EXPOSED_NS,
     published_ns=EXPOSED_NS + 3_000_000,
+    session=SESSION,
 )
 
 CAMERA = Camera(
@@ -73,6 +83,8 @@ def frame_report() -> "pb.FrameReport":
         solved_ns=EXPOSED_NS + 2_000_000,
         published_ns=EXPOSED_NS + 3_000_000,
         frame_id="world",
+        session=SESSION,
+        clock=pb.ARRIVAL,
         spots=pb.Spots(
             x=[640.25, 100.5, 3.0],
             y=[512.75, 200.5, 4.0],
@@ -106,8 +118,23 @@ def status() -> "pb.Status":
     return pb.Status(
         time_ns=EXPOSED_NS, source="sim", frames=600, frames_dropped=1, rate_hz=60.0, solve_p50_s=0.002,
         solve_p99_s=0.004, latency_p50_s=0.003, latency_p99_s=0.006, rejected={"TOO_SMALL": 4, "ELONGATED": 2},
-        robots={"TRACKED": 4, "LOST": 1},
+        robots={"TRACKED": 4, "LOST": 1}, messages_not_recorded=3, session=SESSION,
     )  # fmt: skip
+
+
+def beat() -> "pb.Beat":
+    """A server's sign of life."""
+    return pb.Beat(session=SESSION, sequence=7, time_ns=EXPOSED_NS, monotonic_ns=98_765_432_109, rate=1.0)
+
+
+def rig_report() -> "pb.RigReport":
+    """A reply: the rig, and who answers."""
+    message = decode_rig(encode_rig(RIG))
+    message.version = "0.2.0"
+    message.MergeFrom(
+        pb.RigReport(host="bench", pid=4711, session=SESSION, started_ns=EXPOSED_NS, time_ns=EXPOSED_NS, rate=1.0)
+    )
+    return message
 
 
 def golden() -> dict[str, tuple[bytes, type[Message]]]:
@@ -121,7 +148,8 @@ def golden() -> dict[str, tuple[bytes, type[Message]]]:
         "odometry": (encode_odometry(ROBOT_POSE), Odometry),
         "frame_report": (to_bytes(frame_report()), pb.FrameReport),
         "status": (to_bytes(status()), pb.Status),
-        "rig_report": (encode_rig(RIG), pb.RigReport),
+        "beat": (to_bytes(beat()), pb.Beat),
+        "rig_report": (to_bytes(rig_report()), pb.RigReport),
         "transforms": (encode_transforms(EXPOSED_NS, transforms), FrameTransforms),
         "calibration": (encode_calibration(EXPOSED_NS, CAMERA), CameraCalibration),
     }
@@ -135,7 +163,7 @@ def as_json(payload: bytes, kind: type[Message]) -> str:
 
 
 if __name__ == "__main__":
-    GOLDEN.mkdir(exist_ok=True)
+    GOLDEN.mkdir(parents=True, exist_ok=True)
     for name, (payload, kind) in golden().items():
         (GOLDEN / f"{name}.bin").write_bytes(payload)
         (GOLDEN / f"{name}.json").write_text(as_json(payload, kind))

@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType
 
 from asterism.protocol import keys
-from asterism.protocol.codec import decode_image, decode_rig, encode_rig
+from asterism.protocol.codec import decode_image, decode_rig, encode_rig, stamped
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.geometry import Pose
 from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message
@@ -39,7 +39,15 @@ def frames() -> list[tuple[Frame, list[Message]]]:
         exposed_ns = START_NS + index * 16_666_667
         frame = Frame(scene.render(index, scene.truth(index, index / 60)), exposed_ns, index)
         result, tracks = localize(frame, RIG, tracks)
-        made.append((frame, report(frame, result, RIG, exposed_ns + 1_000_000, exposed_ns + 2_000_000)))
+        made.append(
+            (
+                frame,
+                [
+                    stamped(message, exposed_ns + 2_000_000)
+                    for message in report(frame, result, RIG, exposed_ns + 1_000_000)
+                ],
+            )
+        )
     return made
 
 

@@ -15,12 +15,13 @@ import zenoh
 
 from asterism.clients import PoseClient
 from asterism.protocol import keys
-from asterism.protocol.codec import decode_rig, encode_odometry
+from asterism.protocol.codec import decode_rig, encode_odometry, encode_rig
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.messages import ODOMETRY, TRANSFORMS, Message, RobotPose
 from asterism.protocol.network import check_endpoint, client_config, open_server, server_config
 from asterism.server.service.publish import Publisher, is_alive
-from tests.protocol.make_golden import ROBOT_POSE
+from asterism.server.sources.session_clock import SessionClock
+from tests.protocol.make_golden import RIG, ROBOT_POSE
 from tests.servers import free_endpoint
 
 
@@ -98,7 +99,7 @@ class Server:
 
     def __init__(self, endpoint: str, prefix: str = "") -> None:
         self.session = open_server(endpoint)
-        self.publisher = Publisher(self.session, "cam", b"rig", prefix)
+        self.publisher = Publisher(self.session, "cam", encode_rig(RIG), SessionClock(), prefix)
 
     def tell(self, told: RobotPose) -> None:
         key = keys.odometry("cam", told.robot)
