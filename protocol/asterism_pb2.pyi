@@ -193,18 +193,20 @@ class FrameReport(_message.Message):
     def __init__(self, sequence: _Optional[int] = ..., exposed_ns: _Optional[int] = ..., arrived_ns: _Optional[int] = ..., solved_ns: _Optional[int] = ..., published_ns: _Optional[int] = ..., frame_id: _Optional[str] = ..., spots: _Optional[_Union[Spots, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RobotReport, _Mapping]]] = ..., learned: _Optional[_Union[Learned, _Mapping]] = ..., session: _Optional[int] = ..., clock: _Optional[_Union[Clock, str]] = ...) -> None: ...
 
 class Beat(_message.Message):
-    __slots__ = ("session", "sequence", "time_ns", "monotonic_ns", "rate")
+    __slots__ = ("session", "sequence", "time_ns", "monotonic_ns", "rate", "started_ns")
     SESSION_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     TIME_NS_FIELD_NUMBER: _ClassVar[int]
     MONOTONIC_NS_FIELD_NUMBER: _ClassVar[int]
     RATE_FIELD_NUMBER: _ClassVar[int]
+    STARTED_NS_FIELD_NUMBER: _ClassVar[int]
     session: int
     sequence: int
     time_ns: int
     monotonic_ns: int
     rate: float
-    def __init__(self, session: _Optional[int] = ..., sequence: _Optional[int] = ..., time_ns: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., rate: _Optional[float] = ...) -> None: ...
+    started_ns: int
+    def __init__(self, session: _Optional[int] = ..., sequence: _Optional[int] = ..., time_ns: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., rate: _Optional[float] = ..., started_ns: _Optional[int] = ...) -> None: ...
 
 class Status(_message.Message):
     __slots__ = ("time_ns", "source", "frames", "frames_dropped", "frames_unreadable", "frames_not_recorded", "rate_hz", "solve_p50_s", "solve_p99_s", "latency_p50_s", "latency_p99_s", "rejected", "robots", "problem", "messages_not_recorded", "session")

@@ -1,6 +1,7 @@
 """The zenoh keys: one function a key, so that no other module spells them."""
 
 PREFIX = "asterism"
+REPLAY = "replay/"  # before every key of a replay
 
 # What a client of one robot, of any camera, subscribes to is `odometry("*", robot)`.
 

@@ -6,17 +6,18 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 
 from asterism.protocol import asterism_pb2 as pb
-from asterism.protocol.codec import decode_frame_report, encode_rig, in_session, stamped
+from asterism.protocol import keys
+from asterism.protocol.codec import decode_frame_report, in_session, stamped
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import FRAME_REPORT, Message
-from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.reader import Recording
 from asterism.server.command.number_arguments import positive
 from asterism.server.command.shared_arguments import add_recording, add_server, client_words
+from asterism.server.service.on_air import Place, on_air
 from asterism.server.service.play_clock import PlayClock
-from asterism.server.service.publish import Publisher, is_alive
+from asterism.server.service.publish import Publisher
 from asterism.server.service.say import say
 from asterism.server.service.serve import Stop, stop_on_signals
 
@@ -26,7 +27,6 @@ EXAMPLES = (
     "asterism replay RECORDING --solve rig.yaml\n"
 )
 
-PREFIX = "replay/"
 LOCATED = (pb.TRACKED, pb.TILT_AMBIGUOUS)
 
 
@@ -44,8 +44,6 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Replay once, or with --loop until Ctrl-C."""
-    if options.listen and options.connect:
-        raise InputError("--listen and --connect exclude each other; --connect joins what is there as a client")
     recording = Recording(options.recording)
     rig = recording.rig()
     if options.solve is not None:
@@ -56,31 +54,25 @@ def run(options: argparse.Namespace) -> int:
             )
     stop = Stop()
     with ExitStack() as stack:
-        session = open_server(options.listen, options.connect, options.zenoh)
-        if options.as_live and is_alive(session, rig.camera.name):
-            session.close()
-            raise InputError(
-                f"--as-live: the server of camera '{rig.camera.name}' is alive; its robots would follow two masters. "
-                "Stop it first, or replay without --as-live"
-            )
-        prefix = "" if options.as_live else PREFIX
-        clock = PlayClock(options.speed)
-        publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig), clock, prefix))
+        prefix = "" if options.as_live else keys.REPLAY
+        clock, place = PlayClock(options.speed), Place(options.listen, options.connect, options.zenoh)
+        air = stack.enter_context(on_air(place, rig, clock, stop.interrupt, prefix))
         if options.solve is not None:
             from asterism.server.chain.warm_up import localizing, warm_up
 
             warm_up(*localizing(rig))
         stack.enter_context(stop_on_signals(stop))
-        where = options.connect or options.listen or options.zenoh or DEFAULT_ENDPOINT
-        say(f"replaying {options.recording} at {where} under {prefix}asterism/{rig.camera.name}")
+        say(f"replaying {options.recording} at {place} under {prefix}asterism/{rig.camera.name}")
         prefixed = ["--prefix", prefix] if prefix else []
         say(f"watch it in another terminal: {typed('watch', *prefixed, *client_words(options))}")
         published = 0
         while not stop():
             source = _solved(recording, rig) if options.solve is not None else recording.messages()
-            published += _play(_wire(source), publisher, clock, stop)
+            published += _play(_wire(source), air.publisher, clock, stop)
             if not options.loop:
                 break
+    if air.rivals.sentence:
+        raise InputError(air.rivals.sentence)
     say(f"{'stopped after ' if stop() else ''}{published} messages published")
     return 0
 

@@ -3,9 +3,7 @@
 import argparse
 from contextlib import ExitStack
 
-from asterism.protocol.codec import encode_rig
 from asterism.protocol.errors import InputError
-from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.recorder import Recorder
@@ -14,7 +12,7 @@ from asterism.server.command.number_arguments import count, positive
 from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing, named
 from asterism.server.output import check_folder_of_many
 from asterism.server.service.live_line import LiveLine
-from asterism.server.service.publish import Publisher
+from asterism.server.service.on_air import Place, on_air
 from asterism.server.service.say import say, say_warnings
 from asterism.server.service.serve import Outlets, Run, Sink, Stop, stop_on_signals
 from asterism.server.sources.camera import clock_of
@@ -58,15 +56,13 @@ def run(options: argparse.Namespace) -> int:
         check_folder_of_many(options.record)
     rig = load_rig(options.rig)
     say_warnings(rig)
-    if options.listen and options.connect:
-        raise InputError("--listen and --connect exclude each other; --connect joins what is there as a client")
+    place = Place(options.listen, options.connect, options.zenoh)
     source = open_source(options.source, rig, say)
     if source.live and options.rate is not None:
         raise InputError("--rate is for images and videos; a camera's rate stands in the rig (capture.rate)")
     clock, stop = clock_of(source), Stop()
     with ExitStack() as stack:
-        session = open_server(options.listen, options.connect, options.zenoh)
-        publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig), clock))
+        air = stack.enter_context(on_air(place, rig, clock, stop.interrupt))
         warm_up(*localizing(rig, options.source))
         stack.enter_context(stop_on_signals(stop))
         sinks: tuple[Sink, ...] = ()
@@ -74,11 +70,10 @@ def run(options: argparse.Namespace) -> int:
             from asterism.server.service.live_view import LiveView
 
             sinks = (stack.enter_context(LiveView(rig)).write,)
-        where = options.connect or options.listen or options.zenoh or DEFAULT_ENDPOINT
         robots = f"{len(rig.robots)} robot{'s' * (len(rig.robots) > 1)}"
-        say(f"serving {robots} of camera '{rig.camera.name}' from {source.name} at {where}")
+        say(f"serving {robots} of camera '{rig.camera.name}' from {source.name} at {place}")
         recorder = _recorder(options, rig, source)
-        served = Run(rig, source, Outlets(publisher, recorder, sinks), stop, clock)
+        served = Run(rig, source, Outlets(air.publisher, recorder, sinks), stop, clock)
         try:
             with LiveLine(served.now):
                 served.serve(options.rate, options.smooth)
@@ -89,6 +84,8 @@ def run(options: argparse.Namespace) -> int:
                 say(f"  {typed('review', recorder.folder)}")
     for line in served.summary():
         say(line)
+    if air.rivals.sentence:
+        raise InputError(air.rivals.sentence)
     if recorder is not None and recorder.problem:
         say(recorder.problem)
         return 1

@@ -10,7 +10,8 @@ import zenoh
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
 from asterism.protocol.codec import stamped, to_bytes
-from asterism.protocol.messages import BEAT, RIG_REPORT, Message
+from asterism.protocol.messages import BEAT, ODOMETRY, RIG_REPORT, Message
+from asterism.protocol.network import ODOMETRY_PRIORITY
 from asterism.server.service.threads import Ticker
 
 BEAT_EVERY_S = 0.2
@@ -55,6 +56,16 @@ class Publisher:
         self._alive = session.liveliness().declare_token(prefix + keys.alive(camera))
         self._beating = Ticker(self._beat, BEAT_EVERY_S)
 
+    @property
+    def beat_key(self) -> str:
+        """The key of the beat."""
+        return self._prefix + keys.beat(self._camera)
+
+    @property
+    def age_key(self) -> tuple[int, int]:
+        """Of two servers of one camera the one with the lesser was there first."""
+        return self._clock.started_ns, self._clock.session
+
     def publish(self, messages: Iterable[Message], session: int | None = None) -> list[Message]:
         """Stamp every message, by the clock of that session (none: the one in force), and put it: returns them as they
         went out.
@@ -77,6 +88,7 @@ class Publisher:
                 encoding=zenoh.Encoding(message.kind.encoding),
                 # Not express: a router's queue holds two batches, and drops what each message sent alone fills.
                 congestion_control=zenoh.CongestionControl.DROP,
+                priority=_priority(message),
             )
             self._publishers[message.key] = publisher
         publisher.put(message.payload)
@@ -87,7 +99,12 @@ class Publisher:
         session = clock.session
         now_ns, monotonic_ns = clock.now_ns(session), clock.monotonic_ns()
         told = pb.Beat(
-            session=session, sequence=self._beats, time_ns=now_ns, monotonic_ns=monotonic_ns, rate=clock.rate
+            session=session,
+            sequence=self._beats,
+            time_ns=now_ns,
+            monotonic_ns=monotonic_ns,
+            rate=clock.rate,
+            started_ns=clock.started_ns,
         )
         self.put(Message(keys.beat(self._camera), BEAT, to_bytes(told), now_ns, now_ns, self._beats))
 
@@ -117,6 +134,13 @@ class Publisher:
         self.close()
 
 
+def _priority(message: Message) -> zenoh.Priority:
+    """Odometry has a queue of its own, that is short: a late pose is worth nothing."""
+    name = ODOMETRY_PRIORITY if message.kind.schema == ODOMETRY.schema else "DATA"
+    priority: zenoh.Priority = getattr(zenoh.Priority, name)
+    return priority
+
+
 def _who_answers(clock: Clock) -> bytes:
     """What a rig report's reply says beside the rig: who answers, and the time."""
     session = clock.session
@@ -129,9 +153,3 @@ def _who_answers(clock: Clock) -> bytes:
         rate=clock.rate,
     )
     return to_bytes(told)
-
-
-def is_alive(session: zenoh.Session, camera: str, timeout_s: float = 1.0) -> bool:
-    """Whether a server of that camera shows itself on the network."""
-    replies = session.liveliness().get(keys.alive(camera), timeout=timeout_s)
-    return any(reply.ok is not None for reply in replies)

@@ -271,7 +271,7 @@ def test_as_live_is_refused_while_the_server_is_alive(film: Path, served: tuple[
         wait_for_line(server, "serving 5 robots")
         refused = asterism("replay", served[1], "--as-live", "--connect", endpoint)
     assert refused.returncode == 2
-    assert "--as-live: the server of camera 'demo' is alive" in refused.stderr
+    assert "camera 'demo' is being served already, by process" in refused.stderr
 
 
 def test_an_endpoint_in_use_is_refused(film: Path) -> None:
