@@ -2,6 +2,7 @@
 
 PREFIX = "asterism"
 REPLAY = "replay/"  # before every key of a replay
+LONGEST_NAME = 128  # bytes, of a camera, robot or point
 
 # What a client of one robot, of any camera, subscribes to is `odometry("*", robot)`.
 
@@ -68,6 +69,8 @@ def key_problem(name: str) -> str | None:
         return "is empty, expected at least one character"
     if name.startswith("@"):
         return "begins with '@', which zenoh keeps for itself"
+    if len(name.encode(errors="replace")) > LONGEST_NAME:
+        return f"is longer than {LONGEST_NAME} bytes; files and folders are named after it"
     bad = sorted({char for char in name if char in "/*$?#" or not char.isprintable()})
     if bad:
         return f"holds {' '.join(repr(char) for char in bad)}, expected none of / * $ ? # and no control characters"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.keys import PREFIX, REPLAY
+from asterism.protocol.text_file import read_text
 
 if TYPE_CHECKING:
     import zenoh
@@ -115,12 +116,10 @@ def _base(options: Path | None) -> "zenoh.Config":
         config = zenoh.Config()
     else:
         try:
-            text = options.read_text(encoding="utf-8")
+            text = read_text(options, "a zenoh configuration in JSON5")
             if _depth(text) > _DEEPEST:  # its parser would end the process
                 raise InputError(f"{options}: is nested too deeply, expected a zenoh configuration in JSON5")
             config = zenoh.Config.from_json5(text)
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"{options}: cannot be read as a zenoh configuration ({error})") from None
         except zenoh.ZError as error:
             raise InputError(f"{options}: is no zenoh configuration in JSON5 ({_short(error)})") from None
     _default(config, "scouting/multicast/enabled", False)

@@ -50,7 +50,7 @@ def _open(text: str, rig: Rig | None, say: Say, seed: int) -> Source:
             return ImageFiles(text, [path], rig, say)
         if path.suffix.lower() == ".mcap":
             raise InputError(f"{text}: is one file of a recording, expected the recording's folder {path.parent}")
-        return VideoFile(path, rig)
+        return VideoFile(path, rig, say)
     if any(char in text for char in "*?["):
         base = Path(path.anchor) if path.is_absolute() else Path()
         return image_files(text, list(base.glob(str(path.relative_to(base)))), rig, say)
