@@ -40,7 +40,8 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     seen = rays_of(blobs, plan)
     matches = identify(seen, plan, _at_own_rows(known, frame, plan), frame.exposed_ns)
     _part_leaning(image, blobs, seen, matches.found, plan)
-    _take_scatter(blobs, seen, matches.found, plan)
+    if plan.some_scatter:
+        _take_scatter(blobs, seen, matches.found, plan)
     commons = _common_shifts(image, blobs, seen, matches.found, plan)
     if plan.shutter is None:
         solutions = _solve(blobs, seen, matches.found, plan, learned, commons)
@@ -102,12 +103,14 @@ def _common_shifts(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Ma
 
     LEDs whose light is known (`led.yaml`) have what they spill in what is known of them.
     """
-    robots = np.where(found.assignment >= 0, seen.rows[found.assignment], -1)
-    robots[plan.has_scatter[found.robots]] = -1
+    robots = seen.rows[found.assignment]
+    robots[found.assignment < 0] = -1
+    if plan.some_scatter:
+        robots[plan.has_scatter[found.robots]] = -1
     commons = np.empty((len(robots), 3))
     find_common_light(image, blobs.table, robots, blobs.centres_px, blobs.covariances_px2, commons)
-    some = np.flatnonzero(commons[:, 0])
-    if len(some):
+    if np.count_nonzero(commons):
+        some = np.flatnonzero(commons[:, 0])
         # Where each is seen: at one of its LEDs.
         places = np.ascontiguousarray(blobs.centres_px[robots[some].max(axis=1)])
         rays = np.empty((len(some), 3))
