@@ -43,8 +43,8 @@ REACH_MARGIN = 1.8  # how far from a spot its robot's others may be, over what t
 MOST_QUADS = 12  # for every spot, of less alike ones; beyond that only the nearer combinations were tried
 REACH_PX = 3.0  # how far an LED may lie from where four others put it
 FREE_QUADS = 5000  # however few spots there are
-# For a second opinion (`loose`, `explain`) so many for all robots that are sought together: of a catalogue hundreds that
-# are not there are looked for.
+# For a second opinion (`loose`, `explain`) so many for all robots that are sought together: of a catalogue hundreds
+# that are not there are looked for.
 SECOND_QUADS = 20 * FREE_QUADS
 ANY = 2**31
 SPOT_ERROR_PX = 0.2  # what a spot may be off while its quad is looked up, one sigma
