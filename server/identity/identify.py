@@ -13,6 +13,7 @@ from asterism.server.identity.fours import DOUBT
 from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan
 from asterism.server.identity.rays import Rays
+from asterism.server.pose.fit import LEDS
 from asterism.server.pose.matched import Matched
 from asterism.server.pose.sphere import lay_flat
 from asterism.server.pose.track import KNOWN, Tracks
@@ -55,8 +56,13 @@ def _searched(spots: Spots, plan: Plan, followed: Matched, misfits: Floats) -> t
     found, doubts = find(spots, plan, known, misfits)
     if not found:
         return followed, doubts
-    columns = zip(followed, zip(*found, strict=True), strict=True)
-    return Matched(*(np.concatenate([before, np.array(more)]) for before, more in columns)), doubts
+    robots, labels, rotations, ts = zip(*found, strict=True)
+    return Matched(
+        np.concatenate([followed.robots, robots]),
+        np.concatenate([followed.assignment.ravel(), *labels]).reshape(-1, LEDS),
+        np.concatenate([followed.rotations.reshape(-1, 3), *rotations]).reshape(-1, 3, 3),
+        np.concatenate([followed.ts.ravel(), *ts]).reshape(-1, 3),
+    ), doubts
 
 
 def _explained(

@@ -95,10 +95,12 @@ def loose(
     ``misfits`` (robots,) m, one sigma of what is known of each robot's LEDs, 0 for nothing; ``rivals``: what was
     thought of the spots before.
     """
+    if not wanted.any():
+        return [], {}
     free = spots.free.copy()
     for _, labels, _, _ in found:
         free[labels[labels >= 0]] = False
-    if not wanted.any() or np.count_nonzero(free) < LEDS:
+    if np.count_nonzero(free) < LEDS:
         return [], {}
     spots = spots._replace(free=free)
     fits = _fits(spots, plan, misfits, wanted)

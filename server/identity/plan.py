@@ -38,6 +38,7 @@ class Plan:
         self.constellations = Constellations(self.layouts, np.array([optics_of(robot) for robot in rig.robots]))
         self.mounts = Mounts.of(rig)
         self.extents = np.array([robot.extent for robot in rig.robots])
+        self.smallest, self.largest = float(self.extents.min()), float(self.extents.max())
         self.separations = np.full(len(rig.robots), np.inf)
         for confusion in confusions([robot.leds_plane[:, :2] for robot in rig.robots]):
             for robot in (confusion.seen, confusion.taken):

@@ -214,6 +214,16 @@ def _are_apart(local, a, b, reach):
 
 
 @compiled
+def _fill_wanted(brightest, sought, wanted):
+    """Set ``wanted`` (robots,) for the robots that spots no brighter than that may be; whether there are any."""
+    some = False
+    for robot in range(wanted.shape[0]):
+        wanted[robot] = not sought.claimed[robot] or brightest >= MIRROR_RATIO * sought.brightness[robot]
+        some |= wanted[robot]
+    return some
+
+
+@compiled
 def _lay_out(i, near, size, work):
     """Fill ``local`` with the first ``size`` neighbours of spot ``i``."""
     units, frame = work.directions.units, work.four.frame
@@ -226,12 +236,12 @@ def _lay_out(i, near, size, work):
 def _combine(spots, sought, limits, pass_, results, work):
     """Try every spot with three of its neighbours, as the `_Pass` says; returns how many quads were tried."""
     free, lists, four, local, reach = spots.free, pass_.near.lists, work.looked_up.four, work.local, limits.reach
-    view, members = _view(limits), np.empty(4, np.int64)
+    view, members, wanted = _view(limits), np.empty(4, np.int64), np.empty(sought.claimed.shape[0], np.bool_)
     four[0, 0] = four[0, 1] = 0.0
     quads = 0
     for i in pass_.by_height:
         size, previous = pass_.sizes[i], pass_.previous[i]
-        if not free[i] or size <= previous:
+        if not free[i] or size <= previous or not _fill_wanted(spots.heights[i], sought, wanted):
             continue
         _lay_out(i, pass_.near, size, work)
         for a in range(size):
@@ -256,7 +266,7 @@ def _combine(spots, sought, limits, pass_, results, work):
                     if quads > pass_.most:
                         return quads
                     four[3, 0], four[3, 1] = local[c, 0], local[c, 1]
-                    found = look_up(work.looked_up, sought.quads, view)
+                    found = look_up(work.looked_up, sought.quads, view, wanted)
                     if found == 0:
                         continue
                     members[0], members[1], members[2], members[3] = i, j, k, l
@@ -324,9 +334,8 @@ def searched(
 ) -> tuple[Fits, Fits]:  # fmt: skip
     """Claims and hypotheses of a search, cut to what there is."""
     sought = Sought(plan.layouts, plan.separations, claimed, brightness, plan.quads)
-    extent = float(plan.extents.max())
-    near = max(plan.near, float(plan.extents.min()) / (WIDEST * NEARER))
-    limits = Limits(plan.focal, near, plan.far, MOST_TILT, plan.reach, extent, fewest, alone, tolerance)
+    near = max(plan.near, plan.smallest / (WIDEST * NEARER))
+    limits = Limits(plan.focal, near, plan.far, MOST_TILT, plan.reach, plan.largest, fewest, alone, tolerance)
     results = Results(Fits.room(MOST_CLAIMS), Fits.room(MOST_PENDING))
     search(spots, sought, limits, results)
     return results.claims.held(), results.pending.held()
