@@ -40,8 +40,8 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     seen = rays_of(blobs, plan)
     matches = identify(seen, plan, _at_own_rows(known, frame, plan), frame.exposed_ns)
     _part_leaning(image, blobs, seen, matches.found, plan)
+    commons = _other_light(image, blobs, seen, matches.found, plan)
     _take_scatter(blobs, seen, matches.found, plan)
-    commons = _common_shifts(image, blobs, seen, matches.found, plan)
     if plan.shutter is None:
         solutions = _solve(blobs, seen, matches.found, plan, learned, commons)
         choices = _choose(frame, seen, matches.found, solutions, plan, known)
@@ -97,15 +97,17 @@ def _take_scatter(blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> None:
         seen.covariances[rays] = undistorted[1]
 
 
-def _common_shifts(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> Floats:
-    """What light beside all LEDs of a robot may have moved their spots by together: covariances (m, 3) of rays.
+def _other_light(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> Floats:
+    """What light beside all LEDs of a robot may have moved their spots by together: covariances (m, 3) of rays. What
+    leans on single ones is in their own covariances after it, in the blobs and in the rays.
 
     LEDs whose light is known (`led.yaml`) have what they spill in what is known of them.
     """
     robots = np.where(found.assignment >= 0, seen.rows[found.assignment], -1)
     robots[plan.has_scatter[found.robots]] = -1
     commons = np.empty((len(robots), 3))
-    find_common_light(image, blobs.table, robots, blobs.centres_px, blobs.covariances_px2, commons)
+    if find_common_light(image, blobs.table, robots, blobs.centres_px, blobs.covariances_px2, commons):
+        undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)
     some = np.flatnonzero(commons[:, 0])
     if len(some):
         # Where each is seen: at one of its LEDs.
