@@ -11,6 +11,7 @@ from asterism.server.centres.blobs import Blobs, find_blobs
 from asterism.server.centres.common_light import find_common_light
 from asterism.server.centres.compression import is_compressed
 from asterism.server.centres.leaning_spots import refine_leaning
+from asterism.server.centres.weighted import weigh_spots
 from asterism.server.chain.answers import answers_of
 from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.identity.identify import identify
@@ -40,9 +41,9 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     seen = rays_of(blobs, plan)
     matches = identify(seen, plan, _at_own_rows(known, frame, plan), frame.exposed_ns)
     _part_leaning(image, blobs, seen, matches.found, plan)
+    commons = _other_light(image, blobs, seen, matches.found, plan)
     if plan.some_scatter:
-        _take_scatter(blobs, seen, matches.found, plan)
-    commons = _common_shifts(image, blobs, seen, matches.found, plan)
+        _take_known_light(image, blobs, seen, matches.found, plan)
     if plan.shutter is None:
         solutions = _solve(blobs, seen, matches.found, plan, learned, commons)
         choices = _choose(frame, seen, matches.found, solutions, plan, known)
@@ -85,8 +86,11 @@ def _part_leaning(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Mat
         undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)
 
 
-def _take_scatter(blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> None:
-    """Spots of LEDs whose light is known scatter as their led.yaml says; in the rays alone."""
+def _take_known_light(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> None:
+    """Spots of LEDs whose light is known have their centres, and in the rays their scatter, as their led.yaml says."""
+    weighted = found.assignment[plan.is_weighted[found.robots]]
+    if len(weighted):
+        weigh_spots(image, blobs.table, np.where(weighted >= 0, seen.rows[weighted], -1), blobs.centres_px)
     for k in np.flatnonzero(plan.has_scatter[found.robots]).tolist():
         rays = found.assignment[k][found.assignment[k] >= 0]
         spots = seen.rows[rays]
@@ -95,11 +99,12 @@ def _take_scatter(blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> None:
         spreads[:, ::2] += own_scatter(offset, blobs.table[spots, SHOULDER])[:, None]
         undistorted = np.empty((len(rays), 2)), np.empty((len(rays), 3))
         undistort(plan.lens, blobs.centres_px[spots], spreads, *undistorted)
-        seen.covariances[rays] = undistorted[1]
+        seen.rays[rays], seen.covariances[rays] = undistorted
 
 
-def _common_shifts(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> Floats:
-    """What light beside all LEDs of a robot may have moved their spots by together: covariances (m, 3) of rays.
+def _other_light(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> Floats:
+    """What light beside all LEDs of a robot may have moved their spots by together: covariances (m, 3) of rays. What
+    leans on single ones is in their own covariances after it, in the blobs and in the rays.
 
     LEDs whose light is known (`led.yaml`) have what they spill in what is known of them.
     """
@@ -108,7 +113,8 @@ def _common_shifts(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Ma
     if plan.some_scatter:
         robots[plan.has_scatter[found.robots]] = -1
     commons = np.empty((len(robots), 3))
-    find_common_light(image, blobs.table, robots, blobs.centres_px, blobs.covariances_px2, commons)
+    if find_common_light(image, blobs.table, robots, blobs.centres_px, blobs.covariances_px2, commons):
+        undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)
     if np.count_nonzero(commons):
         some = np.flatnonzero(commons[:, 0])
         # Where each is seen: at one of its LEDs.
