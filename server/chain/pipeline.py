@@ -42,7 +42,8 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     matches = identify(seen, plan, _at_own_rows(known, frame, plan), frame.exposed_ns)
     _part_leaning(image, blobs, seen, matches.found, plan)
     commons = _other_light(image, blobs, seen, matches.found, plan)
-    _take_known_light(image, blobs, seen, matches.found, plan)
+    if plan.some_scatter:
+        _take_known_light(image, blobs, seen, matches.found, plan)
     if plan.shutter is None:
         solutions = _solve(blobs, seen, matches.found, plan, learned, commons)
         choices = _choose(frame, seen, matches.found, solutions, plan, known)
@@ -107,13 +108,15 @@ def _other_light(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matc
 
     LEDs whose light is known (`led.yaml`) have what they spill in what is known of them.
     """
-    robots = np.where(found.assignment >= 0, seen.rows[found.assignment], -1)
-    robots[plan.has_scatter[found.robots]] = -1
+    robots = seen.rows[found.assignment]
+    robots[found.assignment < 0] = -1
+    if plan.some_scatter:
+        robots[plan.has_scatter[found.robots]] = -1
     commons = np.empty((len(robots), 3))
     if find_common_light(image, blobs.table, robots, blobs.centres_px, blobs.covariances_px2, commons):
         undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)
-    some = np.flatnonzero(commons[:, 0])
-    if len(some):
+    if np.count_nonzero(commons):
+        some = np.flatnonzero(commons[:, 0])
         # Where each is seen: at one of its LEDs.
         places = np.ascontiguousarray(blobs.centres_px[robots[some].max(axis=1)])
         rays = np.empty((len(some), 3))

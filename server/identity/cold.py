@@ -33,7 +33,7 @@ def find(spots: Spots, plan: Plan, known: NDArray[np.bool_], misfits: Floats) ->
     brightness[known] = np.inf
     claims, pending = searched(spots, plan, claimed, brightness, 5)
     sigma = assign.systematic_sigma(claims.values[:, COST], SYSTEMATIC_PX, PRIOR_SYSTEMATIC_PX)
-    wanted = int((~known).sum())
+    wanted = len(known) - int(np.count_nonzero(known))
     claim_of = {int(robot): k for k, robot in enumerate(claims.values[:, ROBOT].tolist())}
     taken = set(claims.spots.ravel().tolist())
     hypotheses: list[assign.Hypothesis] = []

@@ -39,7 +39,9 @@ def identify(seen: Rays, plan: Plan, tracks: Tracks, exposed_ns: int) -> Matches
     free = np.ones(len(seen.rows), np.bool_)
     spots = Spots(seen.flat, seen.rays, seen.variances, seen.heights, seen.radii, free)
     room = Matched.room(robots)
-    warm = follow(spots, plan.constellations, plan.extents, plan.focal, tracks, exposed_ns, room)
+    warm = 0
+    if np.count_nonzero(tracks.seen_ns):
+        warm = follow(spots, plan.constellations, plan.extents, plan.focal, tracks, exposed_ns, room)
     found, doubts = room.first(warm), dict[int, str]()
     if warm < robots and np.count_nonzero(free) >= 4:
         flat, variances = np.empty_like(seen.flat), np.empty_like(seen.variances)
@@ -70,8 +72,10 @@ def _explained(
 ) -> tuple[dict[int, str], dict[int, str]]:
     """The doubts, said better where anything explains them, and the reasons of the other robots that are missing."""
     missing = np.ones(len(plan.layouts), np.bool_)
-    missing[found.robots] = missing[[robot for robot, why in doubts.items() if why != DOUBT]] = False
-    if not missing.any():
+    missing[found.robots] = False
+    if doubts:
+        missing[[robot for robot, why in doubts.items() if why != DOUBT]] = False
+    if not np.count_nonzero(missing):
         tracks.reasons[:] = 0.0
         return doubts, {}
     spots.free[:] = True

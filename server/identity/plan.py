@@ -51,6 +51,7 @@ class Plan:
         # nan where the rig does not say how large the LEDs are
         offsets = [robot.led_offset for robot in rig.robots]
         self.has_scatter = np.array([led is not None and not math.isnan(led.scatter_px) for led in offsets])
+        self.some_scatter = bool(self.has_scatter.any())
         self.is_weighted = self.has_scatter & np.array([led is not None and led.weighted for led in offsets])
         self.led_radii = np.array([robot.led_radius or math.nan for robot in rig.robots])
         self.largest_radius_px = LARGEST_SPOT * math.hypot(camera.width, camera.height)
