@@ -21,12 +21,12 @@ from asterism.server.centres.edge_steps import BLUR_PX
 from asterism.server.compiled import compiled
 from asterism.server.segmentation.spot_table import FATE, HEIGHT, LEVEL, NOISE, SHOULDER, UNEXPLAINED
 
-ALONE_RING, ALONE_ROUGH = 1.1, 0.78  # shares, of a spot that was centred alone
-TOGETHER_ROUGH = 1.2  # and of one that was centred together with what leans on it
+ALONE_RING, ALONE_ROUGH = 1.1, 0.83  # shares, of a spot that was centred alone
+TOGETHER_ROUGH = 1.25  # and of one that was centred together with what leans on it
 RING_EXCESS = 8.0  # squared length over the variance along an axis, up to which a ring's dipole is noise
 # Variance over that of usual surroundings, up to which these are no rougher. Slight compression makes surroundings
 # uneven: where the median is more than so many times the lower quartile, as many times more is usual.
-ROUGH_EXCESS, UNEVEN = 1.5, 1.3
+ROUGH_EXCESS, UNEVEN = 1.8, 1.3
 SHOT = 0.035  # variance per grey level by which brighter surroundings may be noisier
 LEAST_VARIANCE = 0.1  # of surroundings: rounding
 
