@@ -217,7 +217,7 @@ def find_common_light(image, spots, robots, centres, covariances, commons):
             largest = max(largest, spots[k, SEMI_A])
     room = RingRoom(room_for((2.0 * (largest + FARTHEST_PX) + 4.0) ** 2), np.empty(RING_SUMS), np.empty((5, 6)))
     neighbours, other, widened = np.empty((MOST_NEIGHBOURS, 3)), np.empty(6), 0
-    floor, uneven = usual_surroundings(spots)
+    floor, excess = usual_surroundings(spots)
     shifts, rings = np.empty((robots.shape[1], 4)), np.empty((robots.shape[1], 3))
     for robot in range(robots.shape[0]):
         told = 0
@@ -242,5 +242,5 @@ def find_common_light(image, spots, robots, centres, covariances, commons):
             k = robots[robot, led]
             if k >= 0:
                 rings[led, 0], rings[led, 1] = rings[led, 0] - x, rings[led, 1] - y
-                widened += widen(spots[k], rings[led], floor, uneven, covariances[k])
+                widened += widen(spots[k], rings[led], floor, excess, covariances[k])
     return widened

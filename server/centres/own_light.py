@@ -25,8 +25,7 @@ ALONE_RING, ALONE_ROUGH = 1.1, 0.83  # shares, of a spot that was centred alone
 TOGETHER_ROUGH = 1.25  # and of one that was centred together with what leans on it
 RING_EXCESS = 8.0  # squared length over the variance along an axis, up to which a ring's dipole is noise
 # Variance over that of usual surroundings, up to which these are no rougher. Slight compression makes surroundings
-# uneven, and their noise hang together: where the median is more than so many times the lower quartile, as much more is
-# usual, squared.
+# uneven: where the median is more than so many times the lower quartile, as many times more is usual.
 ROUGH_EXCESS, UNEVEN = 1.8, 1.3
 SHOT = 0.035  # variance per grey level by which brighter surroundings may be noisier
 LEAST_VARIANCE = 0.1  # of surroundings: rounding
@@ -45,8 +44,8 @@ class Ring(NamedTuple):
 
 @compiled
 def usual_surroundings(spots):
-    """The variance of the surroundings of a picture's ``spots``, at grey level 0: the median, and how many times
-    as much is usual in an uneven picture, 1 in others.
+    """The variance of the surroundings of a picture's ``spots``, at grey level 0: the median, and up to how many times
+    as much is usual.
     """
     floors = np.empty(spots.shape[0])
     count = 0
@@ -55,27 +54,27 @@ def usual_surroundings(spots):
             floors[count] = spots[k, NOISE] ** 2 - SHOT * spots[k, LEVEL]
             count += 1
     if count == 0:
-        return 0.0, 1.0
+        return 0.0, ROUGH_EXCESS
     floors = np.sort(floors[:count])
     median, quarter = floors[(count - 1) // 2], floors[count // 4]
     uneven = max(median, LEAST_VARIANCE) / (UNEVEN * max(quarter, LEAST_VARIANCE))
-    return median, max(uneven, 1.0) ** 2
+    return median, ROUGH_EXCESS * max(uneven, 1.0)
 
 
 @compiled
-def widen(spot, ring, floor, uneven, covariance):
+def widen(spot, ring, floor, excess, covariance):
     """Widen the ``covariance`` (3,) xx, xy, yy px^2 of a spot by what leans on it alone; whether there is any.
 
     ``spot`` is its row of the spot table, ``ring`` (3,) the shift x, y, px, that its ring tells, its robot's common one
-    subtracted, and its variance; ``floor`` and ``uneven`` as `usual_surroundings` tells them.
+    subtracted, and its variance; ``floor`` and ``excess`` as `usual_surroundings` tells them.
     """
     usual = max(floor + SHOT * spot[LEVEL], LEAST_VARIANCE)
-    rough = max(spot[NOISE] ** 2 - ROUGH_EXCESS * uneven * usual, 0.0)
+    rough = max(spot[NOISE] ** 2 - excess * usual, 0.0)
     rough *= 2.0 * math.pi * (BLUR_PX / spot[HEIGHT]) ** 2
     if spot[SHOULDER] ** 2 > covariance[0]:
         more = TOGETHER_ROUGH**2 * rough
     else:
-        aside = max(ring[0] ** 2 + ring[1] ** 2 - RING_EXCESS * uneven * ring[2], 0.0)
+        aside = max(ring[0] ** 2 + ring[1] ** 2 - RING_EXCESS * ring[2], 0.0)
         more = ALONE_RING**2 * aside + ALONE_ROUGH**2 * rough
     covariance[0] += more
     covariance[2] += more
