@@ -26,7 +26,7 @@ import numpy as np
 from asterism.server.centres.blurred_ellipse import distance_to_ellipse
 from asterism.server.centres.edge_steps import BLUR_PX
 from asterism.server.centres.near_spots import MOST_NEIGHBOURS, neighbours_of
-from asterism.server.centres.own_light import Ring, quietest, widen
+from asterism.server.centres.own_light import Ring, usual_surroundings, widen
 from asterism.server.centres.window import leave_out
 from asterism.server.compiled import compiled, compiled_sums
 from asterism.server.segmentation.order import ascending
@@ -216,7 +216,8 @@ def find_common_light(image, spots, robots, centres, covariances, commons):
         if k >= 0:
             largest = max(largest, spots[k, SEMI_A])
     room = RingRoom(room_for((2.0 * (largest + FARTHEST_PX) + 4.0) ** 2), np.empty(RING_SUMS), np.empty((5, 6)))
-    neighbours, other, floor, widened = np.empty((MOST_NEIGHBOURS, 3)), np.empty(6), quietest(spots), 0
+    neighbours, other, widened = np.empty((MOST_NEIGHBOURS, 3)), np.empty(6), 0
+    floor, excess = usual_surroundings(spots)
     shifts, rings = np.empty((robots.shape[1], 4)), np.empty((robots.shape[1], 3))
     for robot in range(robots.shape[0]):
         told = 0
@@ -241,5 +242,5 @@ def find_common_light(image, spots, robots, centres, covariances, commons):
             k = robots[robot, led]
             if k >= 0:
                 rings[led, 0], rings[led, 1] = rings[led, 0] - x, rings[led, 1] - y
-                widened += widen(spots[k], rings[led], floor, covariances[k])
+                widened += widen(spots[k], rings[led], floor, excess, covariances[k])
     return widened

@@ -21,11 +21,12 @@ from asterism.server.centres.edge_steps import BLUR_PX
 from asterism.server.compiled import compiled
 from asterism.server.segmentation.spot_table import FATE, HEIGHT, LEVEL, NOISE, SHOULDER, UNEXPLAINED
 
-ALONE_RING, ALONE_ROUGH = 1.1, 0.75  # shares, of a spot that was centred alone
-TOGETHER_ROUGH = 1.1  # and of one that was centred together with what leans on it
+ALONE_RING, ALONE_ROUGH = 1.1, 0.83  # shares, of a spot that was centred alone
+TOGETHER_ROUGH = 1.25  # and of one that was centred together with what leans on it
 RING_EXCESS = 8.0  # squared length over the variance along an axis, up to which a ring's dipole is noise
-ROUGH_EXCESS = 1.5  # variance over that of quiet surroundings, up to which these are no rougher
-QUIET = 4  # one of so many spots at least has quiet surroundings
+# Variance over that of usual surroundings, up to which these are no rougher. Slight compression makes surroundings
+# uneven: where the median is more than so many times the lower quartile, as many times more is usual.
+ROUGH_EXCESS, UNEVEN = 1.8, 1.3
 SHOT = 0.035  # variance per grey level by which brighter surroundings may be noisier
 LEAST_VARIANCE = 0.1  # of surroundings: rounding
 
@@ -42,26 +43,33 @@ class Ring(NamedTuple):
 
 
 @compiled
-def quietest(spots):
-    """The variance of quiet surroundings in a picture with these ``spots``, at grey level 0."""
+def usual_surroundings(spots):
+    """The variance of the surroundings of a picture's ``spots``, at grey level 0: the median, and up to how many times
+    as much is usual.
+    """
     floors = np.empty(spots.shape[0])
     count = 0
     for k in range(spots.shape[0]):
         if spots[k, FATE] == UNEXPLAINED:
             floors[count] = spots[k, NOISE] ** 2 - SHOT * spots[k, LEVEL]
             count += 1
-    return np.sort(floors[:count])[count // QUIET] if count > 0 else 0.0
+    if count == 0:
+        return 0.0, ROUGH_EXCESS
+    floors = np.sort(floors[:count])
+    median, quarter = floors[(count - 1) // 2], floors[count // 4]
+    uneven = max(median, LEAST_VARIANCE) / (UNEVEN * max(quarter, LEAST_VARIANCE))
+    return median, ROUGH_EXCESS * max(uneven, 1.0)
 
 
 @compiled
-def widen(spot, ring, floor, covariance):
+def widen(spot, ring, floor, excess, covariance):
     """Widen the ``covariance`` (3,) xx, xy, yy px^2 of a spot by what leans on it alone; whether there is any.
 
     ``spot`` is its row of the spot table, ``ring`` (3,) the shift x, y, px, that its ring tells, its robot's common one
-    subtracted, and its variance; ``floor`` as `quietest` tells it.
+    subtracted, and its variance; ``floor`` and ``excess`` as `usual_surroundings` tells them.
     """
     usual = max(floor + SHOT * spot[LEVEL], LEAST_VARIANCE)
-    rough = max(spot[NOISE] ** 2 - ROUGH_EXCESS * usual, 0.0)
+    rough = max(spot[NOISE] ** 2 - excess * usual, 0.0)
     rough *= 2.0 * math.pi * (BLUR_PX / spot[HEIGHT]) ** 2
     if spot[SHOULDER] ** 2 > covariance[0]:
         more = TOGETHER_ROUGH**2 * rough

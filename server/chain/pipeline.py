@@ -18,6 +18,7 @@ from asterism.server.identity.identify import identify
 from asterism.server.identity.plan import Plan, plan_for
 from asterism.server.identity.rays import Rays, rays_of
 from asterism.server.pose.choose import Choices, choose
+from asterism.server.pose.common_noise import common_noise
 from asterism.server.pose.common_shift import add_common_shifts
 from asterism.server.pose.led_doubt import own_scatter
 from asterism.server.pose.lens import FX, undistort
@@ -25,7 +26,9 @@ from asterism.server.pose.matched import Matched, Measured
 from asterism.server.pose.rolling import Setup, at_own_rows, solve_rolling
 from asterism.server.pose.solve import Solutions, solve_robots
 from asterism.server.pose.track import Tracks
-from asterism.server.segmentation.spot_table import SHOULDER
+from asterism.server.segmentation.spot_table import NOISE, SHOULDER
+
+QUIET = 0.5  # grey levels: few sensors have less noise
 
 
 def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Tracks]:
@@ -40,8 +43,14 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     blobs = _blobs(image, plan)
     seen = rays_of(blobs, plan)
     matches = identify(seen, plan, _at_own_rows(known, frame, plan), frame.exposed_ns)
-    _part_leaning(image, blobs, seen, matches.found, plan)
-    commons = _other_light(image, blobs, seen, matches.found, plan)
+    # What compression leaves beside a spot is no light.
+    leaning = bool(np.any(blobs.table[:, SHOULDER]))
+    rounded = (leaning or bool(np.any(blobs.table[:, NOISE] < QUIET))) and is_compressed(image)
+    if leaning and not rounded:
+        _part_leaning(image, blobs, seen, matches.found, plan)
+    commons = _other_light(image, blobs, seen, matches.found, plan, rounded)
+    if rounded and plan.shutter is None:
+        _take_common_noise(blobs, seen, matches.found, plan, learned, commons)
     if plan.some_scatter:
         _take_known_light(image, blobs, seen, matches.found, plan)
     if plan.shutter is None:
@@ -76,9 +85,6 @@ def _blobs(image: NDArray[np.uint8], plan: Plan) -> Blobs:
 
 def _part_leaning(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> None:
     """Centre those robots' spots anew that other light leans on: in the blobs and in the rays."""
-    # What compression leaves beside a spot is no light.
-    if not np.count_nonzero(blobs.table[:, SHOULDER]) or is_compressed(image):
-        return
     # What LEDs whose light is known are strange by is their own.
     leaning = found.assignment[~plan.has_scatter[found.robots]]
     claimed = np.where(leaning >= 0, seen.rows[leaning], -1)
@@ -102,9 +108,12 @@ def _take_known_light(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found:
         seen.rays[rays], seen.covariances[rays] = undistorted
 
 
-def _other_light(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> Floats:
+def _other_light(
+    image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan, rounded: bool
+) -> Floats:
     """What light beside all LEDs of a robot may have moved their spots by together: covariances (m, 3) of rays. What
-    leans on single ones is in their own covariances after it, in the blobs and in the rays.
+    leans on single ones is in their own covariances after it, in the blobs and in the rays, unless the picture is
+    ``rounded`` (`compression`).
 
     LEDs whose light is known (`led.yaml`) have what they spill in what is known of them.
     """
@@ -113,7 +122,8 @@ def _other_light(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matc
     if plan.some_scatter:
         robots[plan.has_scatter[found.robots]] = -1
     commons = np.empty((len(robots), 3))
-    if find_common_light(image, blobs.table, robots, blobs.centres_px, blobs.covariances_px2, commons):
+    covariances = blobs.covariances_px2.copy() if rounded else blobs.covariances_px2
+    if find_common_light(image, blobs.table, robots, blobs.centres_px, covariances, commons) and not rounded:
         undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)
     if np.count_nonzero(commons):
         some = np.flatnonzero(commons[:, 0])
@@ -132,6 +142,17 @@ def _solve(blobs: Blobs, seen: Rays, found: Matched, plan: Plan, learned: Floats
     solve_robots(plan.lens, plan.constellations, found, measured, solutions)
     add_common_shifts(plan.constellations, found, measured, commons, plan.lens[FX], solutions)
     return solutions
+
+
+def _take_common_noise(blobs: Blobs, seen: Rays, found: Matched, plan: Plan, learned: Floats, commons: Floats) -> None:
+    """Widen all spots by what the robots' residuals show beyond their covariances; in the blobs and in the rays."""
+    tried = found._replace(assignment=found.assignment.copy())
+    solutions = _solve(blobs, seen, tried, plan, learned, commons)
+    rows = np.where(found.assignment >= 0, seen.rows[found.assignment], -1)
+    more = common_noise(solutions, rows, blobs.covariances_px2)
+    if more > 0.0:
+        blobs.covariances_px2[seen.rows, ::2] += more
+        undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)
 
 
 def _choose(frame: Frame, seen: Rays, found: Matched, solutions: Solutions, plan: Plan, known: Tracks) -> Choices:
