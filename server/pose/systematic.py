@@ -16,7 +16,8 @@ ODD = 10.0  # how many times worse six LEDs fit than five before the sixth is le
 ODD_BEFORE, ODD_AREA_PX2 = 0.01, 30.0  # how often other light moves a spot, and over what area
 CLEARLY_OFF = 3.0  # times the surprising cost: if five LEDs then fit without surprise, the sixth is left out as well
 NO_SYSTEMATIC, PLATE, ANYTHING = 20.0, 2.0, 0.05  # odds, before a look at the residuals, of what spots are off by
-PLATE_SIGMA_M, PLATE_SPREAD = 4e-5, 0.8  # LED positions of a plate made with care, and one sigma of ln variance
+PLATE_SHARE = 1.2e-3  # what LEDs of a plate made with care are off by, of their distance from its middle: 0.05 in 40 mm
+PLATE_SPREAD = 0.8  # one sigma of the logarithm of that variance
 SYSTEMATIC_STEPS = 11  # doublings, from a thirty-second of that to thirty-two times: a ruler's errors, seen near by
 LEAST_KNOWN_PX = 0.01  # what was learned and is less says no more than that the rig is good
 GOOD = 0.1  # times as likely is it then that its LEDs are off
@@ -56,7 +57,7 @@ def systematic(rotation, t, lit, focal, known2):
     tells them apart.
 
     Before, it is none with odds NO_SYSTEMATIC, with odds PLATE that of LEDs which are off by what a plate made with
-    care has, log-normal about PLATE_SIGMA_M at the robot's distance, and with odds ANYTHING any within
+    care has, log-normal about PLATE_SHARE of its size as it is seen, and with odds ANYTHING any within
     SYSTEMATIC_STEPS doublings about it. So a far robot's dim spots, whose noise exceeds that of its plate, are taken as
     they are told, and a near robot's bright ones are not. Where earlier frames have told, it is about that variance,
     ``known2`` (0 where they have not): log-normal, and with odds UNLIKE_KNOWN to 1 against it any other, or none.
@@ -67,7 +68,12 @@ def systematic(rotation, t, lit, focal, known2):
     points, seen, information = lit.points, lit.seen, lit.information
     n = points.shape[0]
     is_known = known2 > (LEAST_KNOWN_PX / focal) ** 2
-    middle = known2 if is_known else (PLATE_SIGMA_M / t[2]) ** 2
+    middle = known2
+    if not is_known:
+        size2 = 0.0
+        for i in range(n):
+            size2 += points[i, 0] ** 2 + points[i, 1] ** 2
+        middle = PLATE_SHARE * PLATE_SHARE * size2 / (n * t[2] * t[2])
     before = _LOG_PRIORS[2 if is_known else (1 if known2 > 0.0 else 0)]
     # Squared residuals over all variances, and the product of the determinants over those of the spots' own noise.
     squares, growth, variances = (
