@@ -11,6 +11,7 @@ from asterism.server.centres.blobs import Blobs, find_blobs
 from asterism.server.centres.common_light import find_common_light
 from asterism.server.centres.compression import is_compressed
 from asterism.server.centres.leaning_spots import refine_leaning
+from asterism.server.centres.streaks import streak_moments
 from asterism.server.centres.weighted import weigh_spots
 from asterism.server.chain.answers import answers_of
 from asterism.server.chain.frame import Frame, FrameResult
@@ -24,6 +25,7 @@ from asterism.server.pose.lens import FX, undistort
 from asterism.server.pose.matched import Matched, Measured
 from asterism.server.pose.rolling import Setup, at_own_rows, solve_rolling
 from asterism.server.pose.solve import Solutions, solve_robots
+from asterism.server.pose.streaks import straighten
 from asterism.server.pose.track import Tracks
 from asterism.server.segmentation.spot_table import SHOULDER
 
@@ -44,7 +46,7 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     _take_known_light(image, blobs, seen, matches.found, plan)
     commons = _common_shifts(image, blobs, seen, matches.found, plan)
     if plan.shutter is None:
-        solutions = _solve(blobs, seen, matches.found, plan, learned, commons)
+        solutions = _solve(image, blobs, seen, matches.found, plan, learned, commons)
         choices = _choose(frame, seen, matches.found, solutions, plan, known)
     else:
         solutions, choices, known = _solve_rolling(frame, blobs, seen, matches.found, plan, known, commons)
@@ -120,13 +122,38 @@ def _common_shifts(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Ma
     return commons
 
 
-def _solve(blobs: Blobs, seen: Rays, found: Matched, plan: Plan, learned: Floats, commons: Floats) -> Solutions:
+def _solve(
+    image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan, learned: Floats, commons: Floats
+) -> Solutions:
     """Both minima of every matched robot. An LED whose spot turns out to be odd leaves the assignment."""
     measured = Measured(seen.rays, seen.covariances, blobs.centres_px[seen.rows])
     solutions = Solutions.room(len(found.ts), learned[found.robots])
+    streaks = _straighten(image, blobs, seen, found, plan, measured)
     solve_robots(plan.lens, plan.constellations, found, measured, solutions)
+    if streaks is not None:
+        solutions.covariances[...] += streaks[:, None]
     add_common_shifts(plan.constellations, found, measured, commons, plan.lens[FX], solutions)
     return solutions
+
+
+def _straighten(
+    image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan, measured: Measured
+) -> Floats | None:
+    """Put spots that are streaks where they would be at mid-exposure; what that leaves open (m, 6, 6) of the poses."""
+    claimed = np.where(found.assignment >= 0, seen.rows[found.assignment], -1)
+    moments = np.empty((*claimed.shape, 3))
+    if not streak_moments(image, blobs.table, claimed, found.rotations, found.ts, moments):
+        return None
+    # How they turned and dimmed depends on how they are tilted: a first solution says that.
+    m = len(claimed)
+    first = Solutions.room(m)
+    as_seen = found._replace(assignment=found.assignment.copy())
+    solve_robots(plan.lens, plan.constellations, as_seen, measured, first)
+    likelier = np.arange(m), first.costs.argmin(axis=1)
+    tilted = found._replace(rotations=first.rotations[likelier], ts=first.ts[likelier])
+    terms = np.empty((m, 6, 6))
+    straighten(plan.lens, plan.constellations, tilted, measured, moments, terms)
+    return terms
 
 
 def _choose(frame: Frame, seen: Rays, found: Matched, solutions: Solutions, plan: Plan, known: Tracks) -> Choices:
