@@ -11,6 +11,7 @@ from asterism.server.centres.blobs import Blobs, find_blobs
 from asterism.server.centres.common_light import find_common_light
 from asterism.server.centres.compression import is_compressed
 from asterism.server.centres.leaning_spots import refine_leaning
+from asterism.server.centres.streaks import streak_moments
 from asterism.server.centres.weighted import weigh_spots
 from asterism.server.chain.answers import answers_of
 from asterism.server.chain.frame import Frame, FrameResult
@@ -25,6 +26,7 @@ from asterism.server.pose.lens import FX, undistort
 from asterism.server.pose.matched import Matched, Measured
 from asterism.server.pose.rolling import Setup, at_own_rows, solve_rolling
 from asterism.server.pose.solve import Solutions, solve_robots
+from asterism.server.pose.streaks import straighten
 from asterism.server.pose.track import Tracks
 from asterism.server.segmentation.spot_table import NOISE, SHOULDER
 
@@ -50,11 +52,11 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
         _part_leaning(image, blobs, seen, matches.found, plan)
     commons = _other_light(image, blobs, seen, matches.found, plan, rounded)
     if rounded and plan.shutter is None:
-        _take_common_noise(blobs, seen, matches.found, plan, learned, commons)
+        _take_common_noise(blobs, seen, matches.found, plan, learned)
     if plan.some_scatter:
         _take_known_light(image, blobs, seen, matches.found, plan)
     if plan.shutter is None:
-        solutions = _solve(blobs, seen, matches.found, plan, learned, commons)
+        solutions = _solve(image, blobs, seen, matches.found, plan, learned, commons)
         choices = _choose(frame, seen, matches.found, solutions, plan, known)
     else:
         solutions, choices, known = _solve_rolling(frame, blobs, seen, matches.found, plan, known, commons)
@@ -135,24 +137,51 @@ def _other_light(
     return commons
 
 
-def _solve(blobs: Blobs, seen: Rays, found: Matched, plan: Plan, learned: Floats, commons: Floats) -> Solutions:
+def _solve(
+    image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan, learned: Floats, commons: Floats
+) -> Solutions:
     """Both minima of every matched robot. An LED whose spot turns out to be odd leaves the assignment."""
     measured = Measured(seen.rays, seen.covariances, blobs.centres_px[seen.rows])
     solutions = Solutions.room(len(found.ts), learned[found.robots])
+    streaks = _straighten(image, blobs, seen, found, plan, measured)
     solve_robots(plan.lens, plan.constellations, found, measured, solutions)
+    if streaks is not None:
+        solutions.covariances[...] += streaks[:, None]
     add_common_shifts(plan.constellations, found, measured, commons, plan.lens[FX], solutions)
     return solutions
 
 
-def _take_common_noise(blobs: Blobs, seen: Rays, found: Matched, plan: Plan, learned: Floats, commons: Floats) -> None:
+def _take_common_noise(blobs: Blobs, seen: Rays, found: Matched, plan: Plan, learned: Floats) -> None:
     """Widen all spots by what the robots' residuals show beyond their covariances; in the blobs and in the rays."""
     tried = found._replace(assignment=found.assignment.copy())
-    solutions = _solve(blobs, seen, tried, plan, learned, commons)
+    measured = Measured(seen.rays, seen.covariances, blobs.centres_px[seen.rows])
+    solutions = Solutions.room(len(found.ts), learned[found.robots])
+    solve_robots(plan.lens, plan.constellations, tried, measured, solutions)
     rows = np.where(found.assignment >= 0, seen.rows[found.assignment], -1)
     more = common_noise(solutions, rows, blobs.covariances_px2)
     if more > 0.0:
         blobs.covariances_px2[seen.rows, ::2] += more
         undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)
+
+
+def _straighten(
+    image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan, measured: Measured
+) -> Floats | None:
+    """Put spots that are streaks where they would be at mid-exposure; what that leaves open (m, 6, 6) of the poses."""
+    claimed = np.where(found.assignment >= 0, seen.rows[found.assignment], -1)
+    moments = np.empty((*claimed.shape, 3))
+    if not streak_moments(image, blobs.table, claimed, found.rotations, found.ts, moments):
+        return None
+    # How they turned and dimmed depends on how they are tilted: a first solution says that.
+    m = len(claimed)
+    first = Solutions.room(m)
+    as_seen = found._replace(assignment=found.assignment.copy())
+    solve_robots(plan.lens, plan.constellations, as_seen, measured, first)
+    likelier = np.arange(m), first.costs.argmin(axis=1)
+    tilted = found._replace(rotations=first.rotations[likelier], ts=first.ts[likelier])
+    terms = np.empty((m, 6, 6))
+    straighten(plan.lens, plan.constellations, tilted, measured, moments, terms)
+    return terms
 
 
 def _choose(frame: Frame, seen: Rays, found: Matched, solutions: Solutions, plan: Plan, known: Tracks) -> Choices:
