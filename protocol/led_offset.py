@@ -20,7 +20,8 @@ MOST_KNOTS = 24
 MOST_DOUBTS = 12
 LARGEST_M = 0.05  # no LED's light seems to come from farther off
 LARGEST_SCATTER_PX = 2.0
-KEYS = ("up_to_deg", "shift", "per_metre", "distance", "doubt", "scatter_px", "strange_px", "axial_shift")
+KEYS = ("up_to_deg", "shift", "per_metre", "distance", "doubt", "scatter_px", "strange_px", "centre", "axial_shift")
+WEIGHTED = "weighted"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +35,8 @@ class LedOffset:
     wrong by each of these functions, one sigma, independently of one another; an error that all LEDs of a robot share.
     ``scatter_px``: what a centre is off besides its noise, each LED and axis by itself, one sigma; nan: not known. It
     takes the place of what an estimator of centres allows for light that it cannot explain, up to ``strange_px`` of it:
-    an LED with a cup is strange to it, but always in the same way.
+    an LED with a cup is strange to it, but always in the same way. ``weighted``: the centres it holds for are weighted
+    means of the spots' light, whatever estimator the rig names.
     """
 
     values: Floats
@@ -44,6 +46,7 @@ class LedOffset:
     doubts: Floats
     scatter_px: float
     strange_px: float
+    weighted: bool = False
 
     def __post_init__(self) -> None:
         knots = len(self.values)
@@ -132,9 +135,12 @@ def _offset(section: Section) -> LedOffset:
         for key, value in (("scatter_px", scatter), ("strange_px", strange)):
             if value > LARGEST_SCATTER_PX:
                 raise section.error(key, f"{value:g}, expected at most {LARGEST_SCATTER_PX:g}")
+    weighted = "centre" in section and section.text("centre", (WEIGHTED,)) == WEIGHTED
+    if weighted and math.isnan(scatter):
+        raise section.error("centre", f"{WEIGHTED} without scatter_px, expected both or neither")
     for key, numbers in (("shift", values), ("per_metre", per_metre), ("doubt", doubts)):
         _refuse_large(section, key, numbers)
-    return LedOffset(values, up_to, per_metre, distance, doubts, scatter, strange)
+    return LedOffset(values, up_to, per_metre, distance, doubts, scatter, strange, weighted)
 
 
 def _list(section: Section, key: str, most: int, what: str) -> Floats:

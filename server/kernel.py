@@ -2,14 +2,15 @@
 
 numba makes each of them a whole program: optimized, turned into machine code with two wrappers for Python, loaded, kept
 on disk; and then optimized again in every kernel above it. A `Kernel` that another one calls is only a part: its code
-is optimized and handed up, and becomes machine code once, in the kernel that Python calls. Called from Python itself,
-it is compiled as a whole like any other. A part takes integers as integers, where numba would compile it anew for every
-constant that it is called with.
+is optimized and handed up, and becomes machine code once, in the kernel that Python calls; what is too large to be
+inlined is not optimized again on its way there. Called from Python itself, it is compiled as a whole like any other. A
+part takes integers as integers, where numba would compile it anew for every constant that it is called with.
 
 This leans on numba's inner workings (numba.core is no public interface): tests/test_compiled.py says what must hold.
 """
 
 import contextlib
+import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -23,15 +24,50 @@ from numba.extending import overload
 from numba.np import arrayobj
 
 Types = tuple[Any, ...]
+LARGE = 300  # instructions: several times what LLVM would inline
 
 
-class _PartLibrary(JITCodeLibrary):
+class _Library(JITCodeLibrary):
+    """Code that does without parts too large to be inlined while it is optimized, as they have been already.
+
+    numba links all that is called, and optimizes it once more at every level of calls.
+    """
+
+    def __init__(self, codegen: Any, name: str) -> None:
+        super().__init__(codegen, name)
+        self.is_large = False
+        self.left_out: dict[Any, None] = {}  # what a part calls before the part
+
+    def add_linking_library(self, library: Any) -> None:
+        library._ensure_finalized()
+        if isinstance(library, _Library):
+            self.left_out.update(library.left_out)
+            if library.is_large:
+                self.left_out[library] = None
+                return
+        super().add_linking_library(library)
+
+
+class _PartLibrary(_Library):
     """Code to be linked into another library, of which no machine code is made."""
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
-        self._verify_declare_only_symbols()
         self._finalized = True
+        functions = self._final_module.functions
+        instructions = (one for function in functions for block in function.blocks for one in block.instructions)
+        self.is_large = next(itertools.islice(instructions, LARGE, None), None) is not None
+
+
+class _WholeLibrary(_Library):
+    """Code that Python calls, to which the parts that were left out are linked at last."""
+
+    def _finalize_final_module(self) -> None:
+        # Callers first: what nothing calls yet is not linked.
+        for library in reversed(self.left_out):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        super()._finalize_final_module()
 
 
 class _PartCompiler(compiler.Compiler):
@@ -46,6 +82,15 @@ class _PartCompiler(compiler.Compiler):
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         library = _PartLibrary(targetctx.codegen(), "part")
         super().__init__(typingctx, targetctx, library, args, return_type, flags, locals_)
+
+
+class _WholeCompiler(compiler.Compiler):
+    """numba's pipeline, with parts linked last."""
+
+    def __init__(self, typingctx: Any, targetctx: Any, _: Any, *rest: Any) -> None:
+        library = _WholeLibrary(targetctx.codegen(), "whole")
+        library.enable_object_caching()
+        super().__init__(typingctx, targetctx, library, *rest)
 
 
 class _Cache(caching.FunctionCache):
@@ -98,7 +143,7 @@ class Kernel(CPUDispatcher):
 
     def __init__(self, function: Callable[..., Any], folder: Path, **options: Any) -> None:
         options = {"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True, **options}
-        super().__init__(function, targetoptions=options)
+        super().__init__(function, targetoptions=options, pipeline_class=_WholeCompiler)
         self._parts: dict[Types, Any] = {}
         self._part_compiler = _FunctionCompiler(function, self.targetdescr, options, {}, _PartCompiler)
         self._cache = _Cache(function, folder)

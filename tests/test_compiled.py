@@ -18,7 +18,7 @@ import pytest
 from llvmlite import binding as llvm
 from numba.core import event
 
-from asterism.server import kernel_folder
+from asterism.server import kernel, kernel_folder
 from asterism.server.kernel import Kernel
 from asterism.server.kernel_folder import FORGOTTEN_DAYS, LABEL, clean_up, folder_for, made_for
 from tests.measure.first_start import Compiled
@@ -60,6 +60,26 @@ def test_a_part_is_compiled_once_and_only_the_whole_is_kept(tmp_path: Path, comp
     assert inner.overloads == {}
     assert sorted(file.suffix for file in tmp_path.rglob("*both*")) == [".nbc", ".nbi"]
     assert not list(tmp_path.rglob("*add_up*"))
+
+
+def test_a_large_part_is_left_out_until_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernel, "LARGE", 3)
+    inner = Kernel(add_up, tmp_path)
+
+    def twice(values: Any, count: Any) -> Any:
+        return inner(values, count) + inner(values, 1)
+
+    middle = Kernel(twice, tmp_path)
+
+    def whole(values: Any, count: Any) -> Any:
+        return middle(values, count) + inner(values, 3)
+
+    values = np.arange(4.0)
+    assert Kernel(whole, tmp_path)(values, 4) == 6.0 + 0.0 + 3.0
+    (part,), (caller,) = inner._parts.values(), middle._parts.values()
+    assert list(caller.library.left_out) == [part.library]
+    assert not [name for name in (one.name for one in caller.library.get_defined_functions()) if "add_up" in name]
+    assert Kernel(whole, tmp_path)(values, 4) == 9.0  # from the disk
 
 
 def test_python_can_call_a_part_too(tmp_path: Path) -> None:

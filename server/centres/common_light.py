@@ -14,16 +14,19 @@ factor of two or so for all. Across c the shift had a third of it, where two lig
 So what is known of a robot's common shift is a covariance: TOWARDS^2 (c c' + (ACROSS |c|)^2), c the mean over its
 LEDs, weighted by what their centres tell. How well that mean is known, its LEDs' scatter about it tells: light beside a
 single one, texture, noise, are no common light. Only what is in excess counts, shrunk as James and Stein do. Spots that
-were centred together with the light that leans on them (`leaning_spots`) do not tell: that light is explained.
+were centred together with the light that leans on them (`leaning_spots`) do not tell: that light is explained. What a
+LED's ring says beyond the mean is its own (`own_light`).
 """
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from asterism.server.centres.blurred_ellipse import distance_to_ellipse
 from asterism.server.centres.edge_steps import BLUR_PX
 from asterism.server.centres.near_spots import MOST_NEIGHBOURS, neighbours_of
+from asterism.server.centres.own_light import Ring, usual_surroundings, widen
 from asterism.server.centres.window import leave_out
 from asterism.server.compiled import compiled, compiled_sums
 from asterism.server.segmentation.order import ascending
@@ -51,6 +54,14 @@ LEAST_PIXELS = 20.0  # of a ring
 LEAST_LEDS = 2.5  # of a robot, as their weights count
 LEAST_SIGMA_PX = 0.005  # of a centre, so that one does not speak for all
 RING_SUMS = 19
+
+
+class RingRoom(NamedTuple):
+    """Room for the ring of a spot: its ``pixels``, ``sums`` (RING_SUMS,), the ``equations`` (5, 6) of its dipole."""
+
+    pixels: Any
+    sums: Any
+    equations: Any
 
 
 @compiled_sums
@@ -146,7 +157,9 @@ def _gather_ring(image, spot, centre, neighbours, pixels):
 
 @compiled
 def _pool(shifts, common):
-    """Fill ``common`` (3,) from the ``shifts`` (k, 4) of a robot's spots: x, y, variance, px^2, and weight."""
+    """Fill ``common`` (3,) from the ``shifts`` (k, 4) of a robot's spots: x, y, variance, px^2, and weight; returns the
+    mean x, y, as far as it is beyond noise.
+    """
     whole = squares = x = y = 0.0
     for k in range(shifts.shape[0]):
         weight = shifts[k, 3]
@@ -155,7 +168,7 @@ def _pool(shifts, common):
         x += weight * shifts[k, 0]
         y += weight * shifts[k, 1]
     if not whole * whole > LEAST_LEDS * squares:
-        return
+        return 0.0, 0.0
     x, y = x / whole, y / whole
     noise = scatter = 0.0
     for k in range(shifts.shape[0]):
@@ -165,19 +178,32 @@ def _pool(shifts, common):
     noise = max(noise, scatter / (1.0 - squares / (whole * whole)))
     size2 = x * x + y * y
     excess = 1.0 - EXCESS * noise / max(size2, 1e-18)
-    if excess > 0.0:
-        scale = excess * TOWARDS * TOWARDS
-        around = ACROSS * ACROSS * size2
-        common[0], common[1], common[2] = scale * (x * x + around), scale * x * y, scale * (y * y + around)
+    if not excess > 0.0:
+        return 0.0, 0.0
+    scale = excess * TOWARDS * TOWARDS
+    around = ACROSS * ACROSS * size2
+    common[0], common[1], common[2] = scale * (x * x + around), scale * x * y, scale * (y * y + around)
+    return excess * x, excess * y
+
+
+@compiled
+def _look(image, spots, k, centre, neighbours, room):
+    """What the ring of spot ``k`` tells (`Ring`): as far as there is any, of a shift of its centre."""
+    spot = spots[k]
+    n = _gather_ring(image, spot, centre, neighbours, room.pixels)
+    _add_up_ring(room.pixels, n, spot, centre, room.sums)
+    x, y, number, is_told = _dipole(room.sums, room.equations)
+    by = math.sqrt(2.0 * math.pi) * BLUR_PX / spot[HEIGHT]
+    return Ring(by * x, by * y, (by * spot[NOISE]) ** 2 / max(number, 1e-9), is_told)
 
 
 @compiled
 def find_common_light(image, spots, robots, centres, covariances, commons):
     """Fill ``commons`` (m, 3) xx, xy, yy px^2: how far, one sigma, all spots of a robot may be off together, 0 where no
-    light beside them says so.
+    light beside them says so; and widen the ``covariances`` of single spots by what leans on them alone.
 
     ``spots`` is the spot table; ``robots`` (m, 6) are the rows of the spots of every robot's LEDs, -1 for those not
-    seen; ``centres`` (n, 2) px and ``covariances`` (n, 3) px^2 are those of the spots.
+    seen; ``centres`` (n, 2) px and ``covariances`` (n, 3) px^2 are those of the spots. Returns how many were widened.
     """
     commons[:, :] = 0.0
     order = ascending(spots[:, X])
@@ -189,24 +215,32 @@ def find_common_light(image, spots, robots, centres, covariances, commons):
     for k in robots.flat:
         if k >= 0:
             largest = max(largest, spots[k, SEMI_A])
-    pixels = room_for((2.0 * (largest + FARTHEST_PX) + 4.0) ** 2)
-    neighbours, other, sums = np.empty((MOST_NEIGHBOURS, 3)), np.empty(6), np.empty(RING_SUMS)
-    shifts, equations = np.empty((robots.shape[1], 4)), np.empty((5, 6))
+    room = RingRoom(room_for((2.0 * (largest + FARTHEST_PX) + 4.0) ** 2), np.empty(RING_SUMS), np.empty((5, 6)))
+    neighbours, other, widened = np.empty((MOST_NEIGHBOURS, 3)), np.empty(6), 0
+    floor, excess = usual_surroundings(spots)
+    shifts, rings = np.empty((robots.shape[1], 4)), np.empty((robots.shape[1], 3))
     for robot in range(robots.shape[0]):
         told = 0
-        for k in robots[robot]:
-            if k < 0 or spots[k, SHOULDER] ** 2 > covariances[k, 0]:
+        for led in range(robots.shape[1]):
+            k = robots[robot, led]
+            rings[led, :] = 0.0
+            if k < 0:
                 continue
-            spot = spots[k]
             count = neighbours_of(spots, order, places[k], widest, neighbours, other)
             neighbours[:count, 2] += SPARE_PX
-            n = _gather_ring(image, spot, centres[k], neighbours[:count], pixels)
-            _add_up_ring(pixels, n, spot, centres[k], sums)
-            x, y, number, is_told = _dipole(sums, equations)
-            if is_told:
-                by = math.sqrt(2.0 * math.pi) * BLUR_PX / spot[HEIGHT]
-                own = 0.5 * (covariances[k, 0] + covariances[k, 2]) + spot[SHOULDER] ** 2 + LEAST_SIGMA_PX**2
-                shifts[told, 0], shifts[told, 1] = by * x, by * y
-                shifts[told, 2], shifts[told, 3] = (by * spot[NOISE]) ** 2 / number, 1.0 / own
+            ring = _look(image, spots, k, centres[k], neighbours[:count], room)
+            if not ring.is_told:
+                continue
+            rings[led, 0], rings[led, 1], rings[led, 2] = ring.x, ring.y, ring.variance
+            if spots[k, SHOULDER] ** 2 <= covariances[k, 0]:
+                own = 0.5 * (covariances[k, 0] + covariances[k, 2]) + spots[k, SHOULDER] ** 2 + LEAST_SIGMA_PX**2
+                shifts[told, 0], shifts[told, 1] = ring.x, ring.y
+                shifts[told, 2], shifts[told, 3] = ring.variance, 1.0 / own
                 told += 1
-        _pool(shifts[:told], commons[robot])
+        x, y = _pool(shifts[:told], commons[robot])
+        for led in range(robots.shape[1]):
+            k = robots[robot, led]
+            if k >= 0:
+                rings[led, 0], rings[led, 1] = rings[led, 0] - x, rings[led, 1] - y
+                widened += widen(spots[k], rings[led], floor, excess, covariances[k])
+    return widened

@@ -9,15 +9,16 @@ from compression, and counts as such.
 import numpy as np
 from numpy.typing import NDArray
 
-EVERY_ROW = 16  # that is looked at
+ROWS = 32  # that are looked at
+EVERY_PIXEL = 16  # of them, for the median
 LEVELS = 40  # grey levels above the median, up to which a pixel is background
 EQUAL = 0.9  # of neighbours, from which on no sensor made them
 
 
 def is_compressed(image: NDArray[np.uint8]) -> bool:
     """Whether the noise of the background of an (h, w) uint8 image was rounded away."""
-    rows = image[::EVERY_ROW]
-    median = int(np.median(rows[:, ::EVERY_ROW]))
+    rows = image[:: max(len(image) // ROWS, 1)]
+    median = int(np.median(rows[:, ::EVERY_PIXEL]))
     background = rows[:, 1:] <= min(median + LEVELS, 254)
     equal = (rows[:, 1:] == rows[:, :-1]) & background
     counted, most = int(background.sum()), int(equal.sum())

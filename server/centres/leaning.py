@@ -54,15 +54,7 @@ from asterism.server.segmentation.spot_table import (
 ITERATIONS = 25
 # Soft expectations, one sigma: of semi-axes and those of the other light (shares), angles (rad); of blurs (px), and of
 # the plane (grey levels, and per px).
-SIZE_SIGMA, OTHER_SIZE_SIGMA, TURN_SIGMA, BLUR_SIGMA, HAZE_SIGMA, BASE_SIGMA, SLOPE_SIGMA = (
-    0.3,
-    0.4,
-    0.4,
-    0.15,
-    1.0,
-    2.0,
-    0.3,
-)
+OTHER_SIZE_SIGMA, TURN_SIGMA, BLUR_SIGMA, HAZE_SIGMA, BASE_SIGMA, SLOPE_SIGMA = 0.4, 0.4, 0.15, 1.0, 2.0, 0.3
 TOO_LARGE_PX, LEAST_SIZE = 0.28, 0.6  # moments find semi-axes too large
 FARTHEST_PX = 2.0  # the centre may be moved so far, and a semi-axis
 DIMMEST, BRIGHTEST = 0.2, 2.0  # of the spot's height, its rise; of that, the other light
@@ -275,6 +267,9 @@ def _take(spot, fit, light, room, out):
     dof = fit.number - k
     if dof < 10 or math.sqrt(fit.plain / fit.number) > WORST_MISFIT * spot[HEIGHT]:
         return False
+    # Light that is spread wider than a lens does is no LED's.
+    if room.p[first + BLUR] > WIDEST_SPOT_PX:
+        return False
     scale = max(fit.chi2 / dof, 1.0)
     for third in range(2, fit.lights):
         if room.p[PLANE + third * OF_A_LIGHT + RISE] > ALIKE * room.p[first + RISE]:
@@ -291,7 +286,7 @@ def _take(spot, fit, light, room, out):
         out[2 + axis], out[3 + axis] = scale * move[first], scale * move[first + 1]
     out[0] = room.p[first] + 0.5 * (spot[WX0] + spot[WX1] - 1.0)
     out[1] = room.p[first + 1] + 0.5 * (spot[WY0] + spot[WY1] - 1.0)
-    out[5] = scale
+    out[5], out[6] = scale, fit.lights
     return True
 
 
@@ -344,13 +339,13 @@ def _like(source, spot, like):
 
 @compiled
 def fit_leaning(image, spot, other, neighbours, shape, blur, gain, out):
-    """Fit a spot and the light beside it; arguments and ``out`` as in `edge_model.fit_edge_model`.
+    """Fit a spot and the light beside it; arguments and the first of ``out`` (7,) as in `edge_model.fit_edge_model`.
 
     ``other`` (6,) is the spot that was split from this one: x, y, height, semi-axes, angle; its height is 0 where there
     is none, and the light is looked for: beside the spot, then within it. ``shape`` (4,) is what other LEDs of its
     robot look like: semi-axes and angle of the moments, and how well that is known, a share. ``out`` ends with chi
-    squared per degree of freedom, at least 1. Returns False where the lights do not explain the pixels or may not be
-    there.
+    squared per degree of freedom, at least 1, and how many lights there are. Returns False where the lights do not
+    explain the pixels or may not be there.
     """
     height, width = image.shape
     # The other light reaches beyond the spot's own window.

@@ -12,7 +12,10 @@ from asterism.server.compiled import compiled
 from asterism.server.segmentation.order import ascending
 from asterism.server.segmentation.spot_table import ANGLE, MISFIT, SEMI_A, SEMI_B, SHOULDER, X
 
-LEANING_ERROR_PX = 0.003  # the light beside a spot is no exact ellipse
+# The light beside a spot is no exact ellipse: by how much more than noise the centre scatters, variances, and where a
+# third light was needed; then it is off by a share of how far it was moved, too. So rendered (see `own_light`).
+LEANING_ERROR_PX = 0.003
+INEXACT, THIRD_INEXACT, THIRD_MOVED = 1.9, 3.5, 0.3
 # How well the semi-axes of an LED's spot are known, shares: from others of the robot; from its own moments.
 LIKE_SHAPE, UNKNOWN_SHAPE = 0.06, 0.3
 # Chi squared per degree of freedom beyond which a spot that two lights do not explain either is no LED's alone: its
@@ -44,6 +47,17 @@ def _shape_of(spots, rows, spot, shape):
 
 
 @compiled
+def _take(out, centre, covariance):
+    """Write the fit's ``out`` of a spot as its ``centre`` and ``covariance``."""
+    doubt, inexact = (LEANING_ERROR_PX * out[5]) ** 2, INEXACT
+    if out[6] > 2.0:
+        doubt += THIRD_MOVED**2 * ((out[0] - centre[0]) ** 2 + (out[1] - centre[1]) ** 2)
+        inexact = THIRD_INEXACT
+    centre[0], centre[1] = out[0], out[1]
+    covariance[0], covariance[1], covariance[2] = inexact * out[2] + doubt, inexact * out[3], inexact * out[4] + doubt
+
+
+@compiled
 def refine_leaning(image, spots, robots, centres, covariances):
     """Centre the spots anew that other light leans on, together with that light.
 
@@ -60,7 +74,7 @@ def refine_leaning(image, spots, robots, centres, covariances):
         places[order[place]] = place
         widest = max(widest, spots[place, SEMI_A])
     neighbours, apart = np.empty((MOST_NEIGHBOURS, 3)), np.empty((MOST_NEIGHBOURS, 3))
-    other, out = np.empty(6), np.empty(6)
+    other, out = np.empty(6), np.empty(7)
     shape = np.empty(4)
     for place in range(robots.size):
         rows = robots[place // robots.shape[1]]
@@ -76,10 +90,7 @@ def refine_leaning(image, spots, robots, centres, covariances):
                 apart[n_apart] = neighbours[i]
                 n_apart += 1
         if fit_leaning(image, spot, other, apart[:n_apart], shape, BLUR_PX, GAIN, out):
-            centres[k, 0], centres[k, 1] = out[0], out[1]
-            covariances[k, 0] = out[2] + (LEANING_ERROR_PX * out[5]) ** 2
-            covariances[k, 1] = out[3]
-            covariances[k, 2] = out[4] + (LEANING_ERROR_PX * out[5]) ** 2
+            _take(out, centres[k], covariances[k])
             changed += 1
         elif spot[MISFIT] > NO_SPOT:
             covariances[k, 0] += (ANYWHERE * spot[SEMI_A]) ** 2

@@ -11,20 +11,26 @@ from asterism.server.centres.blobs import Blobs, find_blobs
 from asterism.server.centres.common_light import find_common_light
 from asterism.server.centres.compression import is_compressed
 from asterism.server.centres.leaning_spots import refine_leaning
+from asterism.server.centres.streaks import streak_moments
+from asterism.server.centres.weighted import weigh_spots
 from asterism.server.chain.answers import answers_of
 from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.identity.identify import identify
 from asterism.server.identity.plan import Plan, plan_for
 from asterism.server.identity.rays import Rays, rays_of
 from asterism.server.pose.choose import Choices, choose
+from asterism.server.pose.common_noise import common_noise
 from asterism.server.pose.common_shift import add_common_shifts
 from asterism.server.pose.led_doubt import own_scatter
 from asterism.server.pose.lens import FX, undistort
 from asterism.server.pose.matched import Matched, Measured
 from asterism.server.pose.rolling import Setup, at_own_rows, solve_rolling
 from asterism.server.pose.solve import Solutions, solve_robots
+from asterism.server.pose.streaks import straighten
 from asterism.server.pose.track import Tracks
-from asterism.server.segmentation.spot_table import SHOULDER
+from asterism.server.segmentation.spot_table import NOISE, SHOULDER
+
+QUIET = 0.5  # grey levels: few sensors have less noise
 
 
 def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Tracks]:
@@ -39,11 +45,18 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     blobs = _blobs(image, plan)
     seen = rays_of(blobs, plan)
     matches = identify(seen, plan, _at_own_rows(known, frame, plan), frame.exposed_ns)
-    _part_leaning(image, blobs, seen, matches.found, plan)
-    _take_scatter(blobs, seen, matches.found, plan)
-    commons = _common_shifts(image, blobs, seen, matches.found, plan)
+    # What compression leaves beside a spot is no light.
+    leaning = bool(np.any(blobs.table[:, SHOULDER]))
+    rounded = (leaning or bool(np.any(blobs.table[:, NOISE] < QUIET))) and is_compressed(image)
+    if leaning and not rounded:
+        _part_leaning(image, blobs, seen, matches.found, plan)
+    commons = _other_light(image, blobs, seen, matches.found, plan, rounded)
+    if rounded and plan.shutter is None:
+        _take_common_noise(blobs, seen, matches.found, plan, learned)
+    if plan.some_scatter:
+        _take_known_light(image, blobs, seen, matches.found, plan)
     if plan.shutter is None:
-        solutions = _solve(blobs, seen, matches.found, plan, learned, commons)
+        solutions = _solve(image, blobs, seen, matches.found, plan, learned, commons)
         choices = _choose(frame, seen, matches.found, solutions, plan, known)
     else:
         solutions, choices, known = _solve_rolling(frame, blobs, seen, matches.found, plan, known, commons)
@@ -74,9 +87,6 @@ def _blobs(image: NDArray[np.uint8], plan: Plan) -> Blobs:
 
 def _part_leaning(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> None:
     """Centre those robots' spots anew that other light leans on: in the blobs and in the rays."""
-    # What compression leaves beside a spot is no light.
-    if not np.count_nonzero(blobs.table[:, SHOULDER]) or is_compressed(image):
-        return
     # What LEDs whose light is known are strange by is their own.
     leaning = found.assignment[~plan.has_scatter[found.robots]]
     claimed = np.where(leaning >= 0, seen.rows[leaning], -1)
@@ -84,8 +94,11 @@ def _part_leaning(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Mat
         undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)
 
 
-def _take_scatter(blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> None:
-    """Spots of LEDs whose light is known scatter as their led.yaml says; in the rays alone."""
+def _take_known_light(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> None:
+    """Spots of LEDs whose light is known have their centres, and in the rays their scatter, as their led.yaml says."""
+    weighted = found.assignment[plan.is_weighted[found.robots]]
+    if len(weighted):
+        weigh_spots(image, blobs.table, np.where(weighted >= 0, seen.rows[weighted], -1), blobs.centres_px)
     for k in np.flatnonzero(plan.has_scatter[found.robots]).tolist():
         rays = found.assignment[k][found.assignment[k] >= 0]
         spots = seen.rows[rays]
@@ -94,20 +107,28 @@ def _take_scatter(blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> None:
         spreads[:, ::2] += own_scatter(offset, blobs.table[spots, SHOULDER])[:, None]
         undistorted = np.empty((len(rays), 2)), np.empty((len(rays), 3))
         undistort(plan.lens, blobs.centres_px[spots], spreads, *undistorted)
-        seen.covariances[rays] = undistorted[1]
+        seen.rays[rays], seen.covariances[rays] = undistorted
 
 
-def _common_shifts(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> Floats:
-    """What light beside all LEDs of a robot may have moved their spots by together: covariances (m, 3) of rays.
+def _other_light(
+    image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan, rounded: bool
+) -> Floats:
+    """What light beside all LEDs of a robot may have moved their spots by together: covariances (m, 3) of rays. What
+    leans on single ones is in their own covariances after it, in the blobs and in the rays, unless the picture is
+    ``rounded`` (`compression`).
 
     LEDs whose light is known (`led.yaml`) have what they spill in what is known of them.
     """
-    robots = np.where(found.assignment >= 0, seen.rows[found.assignment], -1)
-    robots[plan.has_scatter[found.robots]] = -1
+    robots = seen.rows[found.assignment]
+    robots[found.assignment < 0] = -1
+    if plan.some_scatter:
+        robots[plan.has_scatter[found.robots]] = -1
     commons = np.empty((len(robots), 3))
-    find_common_light(image, blobs.table, robots, blobs.centres_px, blobs.covariances_px2, commons)
-    some = np.flatnonzero(commons[:, 0])
-    if len(some):
+    covariances = blobs.covariances_px2.copy() if rounded else blobs.covariances_px2
+    if find_common_light(image, blobs.table, robots, blobs.centres_px, covariances, commons) and not rounded:
+        undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)
+    if np.count_nonzero(commons):
+        some = np.flatnonzero(commons[:, 0])
         # Where each is seen: at one of its LEDs.
         places = np.ascontiguousarray(blobs.centres_px[robots[some].max(axis=1)])
         rays = np.empty((len(some), 3))
@@ -116,13 +137,51 @@ def _common_shifts(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Ma
     return commons
 
 
-def _solve(blobs: Blobs, seen: Rays, found: Matched, plan: Plan, learned: Floats, commons: Floats) -> Solutions:
+def _solve(
+    image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan, learned: Floats, commons: Floats
+) -> Solutions:
     """Both minima of every matched robot. An LED whose spot turns out to be odd leaves the assignment."""
     measured = Measured(seen.rays, seen.covariances, blobs.centres_px[seen.rows])
     solutions = Solutions.room(len(found.ts), learned[found.robots])
+    streaks = _straighten(image, blobs, seen, found, plan, measured)
     solve_robots(plan.lens, plan.constellations, found, measured, solutions)
+    if streaks is not None:
+        solutions.covariances[...] += streaks[:, None]
     add_common_shifts(plan.constellations, found, measured, commons, plan.lens[FX], solutions)
     return solutions
+
+
+def _take_common_noise(blobs: Blobs, seen: Rays, found: Matched, plan: Plan, learned: Floats) -> None:
+    """Widen all spots by what the robots' residuals show beyond their covariances; in the blobs and in the rays."""
+    tried = found._replace(assignment=found.assignment.copy())
+    measured = Measured(seen.rays, seen.covariances, blobs.centres_px[seen.rows])
+    solutions = Solutions.room(len(found.ts), learned[found.robots])
+    solve_robots(plan.lens, plan.constellations, tried, measured, solutions)
+    rows = np.where(found.assignment >= 0, seen.rows[found.assignment], -1)
+    more = common_noise(solutions, rows, blobs.covariances_px2)
+    if more > 0.0:
+        blobs.covariances_px2[seen.rows, ::2] += more
+        undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)
+
+
+def _straighten(
+    image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan, measured: Measured
+) -> Floats | None:
+    """Put spots that are streaks where they would be at mid-exposure; what that leaves open (m, 6, 6) of the poses."""
+    claimed = np.where(found.assignment >= 0, seen.rows[found.assignment], -1)
+    moments = np.empty((*claimed.shape, 3))
+    if not streak_moments(image, blobs.table, claimed, found.rotations, found.ts, moments):
+        return None
+    # How they turned and dimmed depends on how they are tilted: a first solution says that.
+    m = len(claimed)
+    first = Solutions.room(m)
+    as_seen = found._replace(assignment=found.assignment.copy())
+    solve_robots(plan.lens, plan.constellations, as_seen, measured, first)
+    likelier = np.arange(m), first.costs.argmin(axis=1)
+    tilted = found._replace(rotations=first.rotations[likelier], ts=first.ts[likelier])
+    terms = np.empty((m, 6, 6))
+    straighten(plan.lens, plan.constellations, tilted, measured, moments, terms)
+    return terms
 
 
 def _choose(frame: Frame, seen: Rays, found: Matched, solutions: Solutions, plan: Plan, known: Tracks) -> Choices:

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from asterism.protocol.geometry import Floats
-from asterism.protocol.led_offset import parse_offset
+from asterism.protocol.led_offset import WEIGHTED, parse_offset
 from asterism.protocol.program import typed
 from asterism.protocol.rig import load_rig
 from asterism.server.calibration.leds.observations import observe
@@ -96,8 +96,8 @@ def led_text(found: OffsetCalibration, source: str, truth: object, robots: list[
     return (
         "# Where the light of an LED seems to come from, for a rig's led.offset; by asterism calibrate offset.\n"
         f"# {len(found.angles)} surveyed poses of {', '.join(robots)}: {source}, {truth}\n"
-        f"# seen at {near:.2f} to {far:.2f} m; for this camera, its lens and its estimator of centres\n"
-        f"up_to_deg: {np.degrees(offset.up_to_rad):.4f}  # beyond, all stays what it is there\n"
+        f"# seen at {near:.2f} to {far:.2f} m; for this camera and its lens\n"
+        f"up_to_deg: {np.degrees(offset.up_to_rad):.4f}  # LEDs were seen up to {np.degrees(found.seen_up_to):.1f}\n"
         "# At angles evenly from 0 to there, between axis and line of sight: the shift along the axis, m\n"
         f"shift: {_lengths(offset.values)}\n"
         "# and what it changes by for every metre that the LED is farther than the distance, m\n"
@@ -108,6 +108,7 @@ def led_text(found: OffsetCalibration, source: str, truth: object, robots: list[
         "# What a centre is off besides its noise, one sigma, and up to how much light strange to the estimator\n"
         f"scatter_px: {offset.scatter_px:.4f}\n"
         f"strange_px: {offset.strange_px:.3f}\n"
+        f"centre: {WEIGHTED}  # these LEDs' centres: weighted means of their light, whatever the rig's centre is\n"
     )
 
 
@@ -116,7 +117,7 @@ def _lengths(values: Floats) -> str:
 
 
 def _table_degrees(found: OffsetCalibration) -> list[float]:
-    largest = float(np.degrees(found.offset.up_to_rad))
+    largest = float(np.degrees(found.seen_up_to))
     return [*(float(d) for d in range(0, int(largest), TABLE_DEG)), round(largest, 1)]
 
 
@@ -171,7 +172,7 @@ def _sentences(found: OffsetCalibration) -> list[str]:
         "rests on the survey and on where the rig says that the LEDs are: no film without surveyed poses can see it",
         "what changes with the angle: "
         + ", ".join(f"{1e3 * c:+.4f} mm at {np.degrees(a):.3g}" for c, a in zip(changes, angles, strict=True) if a > 0)
-        + " degrees; beyond, as there",
+        + " degrees; beyond, nobody has looked",
     ]
     if found.told_distance:
         by = 1e3 * (farther - offset.shift(angles))

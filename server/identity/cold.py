@@ -8,7 +8,7 @@ from asterism.server.centres.blobs import Ints
 from asterism.server.identity import assign
 from asterism.server.identity.evidence import LEAST_LIKE, MOST_LIKE, Version, best_version
 from asterism.server.identity.fours import fours
-from asterism.server.identity.hypotheses import COST, ROBOT, Found
+from asterism.server.identity.hypotheses import COST, ROBOT, Found, medians_of, rivals_of
 from asterism.server.identity.hypotheses import HEIGHT as FIT_HEIGHT
 from asterism.server.identity.loose import loose, tolerance_px
 from asterism.server.identity.neighbours import Spots
@@ -33,8 +33,8 @@ def find(spots: Spots, plan: Plan, known: NDArray[np.bool_], misfits: Floats) ->
     brightness[known] = np.inf
     claims, pending = searched(spots, plan, claimed, brightness, 5)
     sigma = assign.systematic_sigma(claims.values[:, COST], SYSTEMATIC_PX, PRIOR_SYSTEMATIC_PX)
-    wanted = int((~known).sum())
-    claim_of = {int(values[ROBOT]): k for k, values in enumerate(claims.values)}
+    wanted = len(known) - int(np.count_nonzero(known))
+    claim_of = {int(robot): k for k, robot in enumerate(claims.values[:, ROBOT].tolist())}
     taken = set(claims.spots.ravel().tolist())
     hypotheses: list[assign.Hypothesis] = []
     disputed: set[int] = set()
@@ -52,11 +52,12 @@ def find(spots: Spots, plan: Plan, known: NDArray[np.bool_], misfits: Floats) ->
         hypotheses += _scored(robot, labels, sigma, spots, plan, wanted)
         if robot in claim_of:
             disputed.add(robot)
-    for robot, k in claim_of.items():
-        # With what the other robots' fits have told, a fit may look worse than it did.
-        variance = sigma**2 + float(median_of(spots.variances, claims.spots[k])) * plan.focal**2
-        if claims.values[k, COST] * SYSTEMATIC_PX**2 > CHI2[LEDS] * variance:
-            disputed.add(robot)
+    # With what the other robots' fits have told, a fit may look worse than it did.
+    own = np.empty(len(claims.spots))
+    medians_of(spots.variances, claims.spots, own)
+    worse = claims.values[:, COST] * SYSTEMATIC_PX**2 > CHI2[LEDS] * (sigma**2 + own * plan.focal**2)
+    if np.count_nonzero(worse):
+        disputed |= {robot for robot, k in claim_of.items() if worse[k]}
     for robot in sorted(disputed):
         hypotheses += _scored(robot, claims.spots[claim_of[robot]], sigma, spots, plan, wanted)
     chosen, doubts = assign.assign(hypotheses)
@@ -67,9 +68,11 @@ def find(spots: Spots, plan: Plan, known: NDArray[np.bool_], misfits: Floats) ->
     outshone = _outshone(spots, plan, sigma, found)
     for robot in outshone:
         doubts[robot] = assign.TWO_PLACES
-    found = [entry for entry in found if entry[0] not in outshone]
+        found = [entry for entry in found if entry[0] != robot]
     # Of a rig that is off some five LEDs may fit by chance, and a spot lies where the sixth should be but for that.
     doubtful = [entry for entry in found if _has_one_beside(spots, plan, entry, found)]
+    if len(found) == wanted and not doubtful and not doubts:
+        return found, doubts
     sure = [entry for entry in found if all(entry is not other for other in doubtful)]
     wanted_still = ~known
     wanted_still[[robot for robot, *_ in sure]] = False
@@ -88,9 +91,9 @@ def find(spots: Spots, plan: Plan, known: NDArray[np.bool_], misfits: Floats) ->
 def _has_one_beside(spots: Spots, plan: Plan, entry: Found, found: list[Found]) -> bool:
     """Whether a robot lacks an LED near whose place a spot like its others is nobody's."""
     robot, labels, rotation, t = entry
-    lacking = np.flatnonzero(labels < 0)
-    if not len(lacking):
+    if -1 not in labels.tolist():
         return False
+    lacking = np.flatnonzero(labels < 0)
     free = spots.free.copy()
     for _, others, _, _ in found:
         free[others[others >= 0]] = False
@@ -109,14 +112,12 @@ def _outshone(spots: Spots, plan: Plan, sigma_px: float, found: list[Found]) -> 
     """
     if not found:
         return set()
-    heights = {robot: float(median_of(spots.heights, labels)) for robot, labels, _, _ in found}
-    usable = spots.heights > min(heights.values())
-    for robot, labels, _, _ in found:
-        own = labels[labels >= 0]
-        # A mirror image may have caught one of the robot's own LEDs.
-        usable[own] = spots.heights[own] * MIRROR_RATIO > heights[robot]
-    if (spots.heights[usable] * MIRROR_RATIO > min(heights.values())).sum() < 4:
+    labels, medians = np.array([entry[1] for entry in found]), np.empty(len(found))
+    usable = np.empty(len(spots.heights), np.bool_)
+    medians_of(spots.heights, labels, medians)
+    if rivals_of(spots.heights, labels, MIRROR_RATIO, medians, usable) < 4:
         return set()
+    heights = dict(zip((entry[0] for entry in found), medians.tolist(), strict=True))
     brightness = np.full(len(plan.layouts), np.inf)  # robots that were not found are of no interest here
     for robot, height in heights.items():
         brightness[robot] = height / MIRROR_RATIO**2

@@ -17,7 +17,7 @@ from asterism.server.identity.hypotheses import COST, ROBOT, SEEN, Fits
 from asterism.server.identity.loose import misfit_words, tolerance_px
 from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan
-from asterism.server.identity.search import searched
+from asterism.server.identity.search import SECOND_QUADS, searched
 from asterism.server.pose.fit import LEDS
 from asterism.server.pose.track import Tracks
 
@@ -78,6 +78,11 @@ def _brightest(spots: Spots) -> Spots:
     return Spots(*(np.ascontiguousarray(column[rows]) for column in spots))
 
 
+def _unlike(sought: NDArray[np.bool_]) -> int:
+    """Quads of less alike spots that are tried for so many robots."""
+    return SECOND_QUADS // int(np.count_nonzero(sought))
+
+
 _Told = Iterator[tuple[int, int, float]]
 
 
@@ -85,14 +90,15 @@ def _six(
     spots: Spots, plan: Plan, sought: NDArray[np.bool_], which: int, number: Callable[[Floats, float], float]
 ) -> _Told:
     """Robots of which a search is certain."""
-    claims, _ = searched(spots, plan, ~sought, np.where(sought, 0.0, np.inf), LEDS)
+    claims, _ = searched(spots, plan, ~sought, np.where(sought, 0.0, np.inf), LEDS, unlike=_unlike(sought))
     for t, values in zip(claims.ts, claims.values, strict=True):
         yield int(values[ROBOT]), which, number(t, float(values[COST]))
 
 
 def _misfit(spots: Spots, plan: Plan, sought: NDArray[np.bool_]) -> _Told:
     tolerance = tolerance_px(plan)
-    claims, pending = searched(spots, plan, ~sought, np.where(sought, 0.0, np.inf), LEDS, tolerance=tolerance)
+    brightness, unlike = np.where(sought, 0.0, np.inf), _unlike(sought)
+    claims, pending = searched(spots, plan, ~sought, brightness, LEDS, tolerance=tolerance, unlike=unlike)
     for fits in (claims, pending):
         for values in fits.values[np.argsort(fits.values[:, COST], kind="stable")]:
             yield int(values[ROBOT]), MISFIT, math.sqrt(values[COST] / LEDS) * tolerance
@@ -121,7 +127,7 @@ def _uneven(spots: Spots, plan: Plan, sought: NDArray[np.bool_]) -> _Told:
 
 def _merged(spots: Spots, plan: Plan, sought: NDArray[np.bool_]) -> _Told:
     everybody = np.ones(len(sought), np.bool_)
-    _, fits = searched(spots, plan, everybody, np.where(sought, 0.0, np.inf), 4)
+    _, fits = searched(spots, plan, everybody, np.where(sought, 0.0, np.inf), 4, unlike=_unlike(sought))
     for k in np.argsort(fits.values[:, COST], kind="stable"):
         if fits.values[k, SEEN] == 4 and _look_like_one(spots, plan, fits, int(k)):
             yield int(fits.values[k, ROBOT]), MERGED, 0.0

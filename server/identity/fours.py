@@ -54,10 +54,12 @@ def fours(
 
     ``found`` are the robots found so far, ``sigma_px`` what calibration and LED positions are off, as they told.
     """
+    if not sought.any():
+        return []
     usable = spots.free.copy()
     for _, labels, _, _ in found:
         usable[labels[labels >= 0]] = False
-    if not sought.any() or usable.sum() < 4 or _hopeless(int(usable.sum()) - 4 * int(sought.sum()), plan):
+    if usable.sum() < 4 or _hopeless(int(usable.sum()) - 4 * int(sought.sum()), plan):
         return []
     spots = spots._replace(free=usable)
     # As if all were known, and the sought ones but dim: what is found then is a hypothesis.

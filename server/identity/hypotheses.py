@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
-from asterism.server.pose.fit import LEDS
+from asterism.server.pose.fit import LEDS, median_of
 
 Ints = NDArray[np.int64]
 
@@ -66,3 +66,33 @@ def keep(fits, labels, robot, count, cost, height, rotation, t):
     fits.ts[slot] = t
     fits.filled[0] = slot + 1
     return True
+
+
+@compiled
+def medians_of(numbers, labels, medians):
+    """Fill ``medians`` (m,) of the numbers (n,) of robots' spots, ``labels`` (m, 6), -1 for LEDs not visible."""
+    for k in range(labels.shape[0]):
+        medians[k] = median_of(numbers, labels[k])
+
+
+@compiled
+def rivals_of(heights, labels, ratio, medians, usable):
+    """Mark the spots, ``usable`` (n,), that may show robots elsewhere: brighter than the dimmest of those that were
+    found, and none of a robot's own but where that is much brighter than the robot.
+
+    ``labels`` (m, 6) of the robots and their ``medians`` (m,) of ``heights`` (n,); ``ratio``: what is dimmer than that
+    share of another is much dimmer. Returns how many usable spots are much brighter than the dimmest robot.
+    """
+    dimmest = medians.min()
+    for spot in range(heights.shape[0]):
+        usable[spot] = heights[spot] > dimmest
+    for k in range(labels.shape[0]):
+        for led in range(LEDS):
+            spot = labels[k, led]
+            if spot >= 0:
+                # A mirror image may have caught one of the robot's own LEDs.
+                usable[spot] = heights[spot] * ratio > medians[k]
+    count = 0
+    for spot in range(heights.shape[0]):
+        count += usable[spot] and heights[spot] * ratio > dimmest
+    return count

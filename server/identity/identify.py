@@ -13,6 +13,7 @@ from asterism.server.identity.fours import DOUBT
 from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan
 from asterism.server.identity.rays import Rays
+from asterism.server.pose.fit import LEDS
 from asterism.server.pose.matched import Matched
 from asterism.server.pose.sphere import lay_flat
 from asterism.server.pose.track import KNOWN, Tracks
@@ -38,7 +39,9 @@ def identify(seen: Rays, plan: Plan, tracks: Tracks, exposed_ns: int) -> Matches
     free = np.ones(len(seen.rows), np.bool_)
     spots = Spots(seen.flat, seen.rays, seen.variances, seen.heights, seen.radii, free)
     room = Matched.room(robots)
-    warm = follow(spots, plan.constellations, plan.extents, plan.focal, tracks, exposed_ns, room)
+    warm = 0
+    if np.count_nonzero(tracks.seen_ns):
+        warm = follow(spots, plan.constellations, plan.extents, plan.focal, tracks, exposed_ns, room)
     found, doubts = room.first(warm), dict[int, str]()
     if warm < robots and np.count_nonzero(free) >= 4:
         flat, variances = np.empty_like(seen.flat), np.empty_like(seen.variances)
@@ -55,8 +58,13 @@ def _searched(spots: Spots, plan: Plan, followed: Matched, misfits: Floats) -> t
     found, doubts = find(spots, plan, known, misfits)
     if not found:
         return followed, doubts
-    columns = zip(followed, zip(*found, strict=True), strict=True)
-    return Matched(*(np.concatenate([before, np.array(more)]) for before, more in columns)), doubts
+    robots, labels, rotations, ts = zip(*found, strict=True)
+    return Matched(
+        np.concatenate([followed.robots, robots]),
+        np.concatenate([followed.assignment.ravel(), *labels]).reshape(-1, LEDS),
+        np.concatenate([followed.rotations.reshape(-1, 3), *rotations]).reshape(-1, 3, 3),
+        np.concatenate([followed.ts.ravel(), *ts]).reshape(-1, 3),
+    ), doubts
 
 
 def _explained(
@@ -64,8 +72,10 @@ def _explained(
 ) -> tuple[dict[int, str], dict[int, str]]:
     """The doubts, said better where anything explains them, and the reasons of the other robots that are missing."""
     missing = np.ones(len(plan.layouts), np.bool_)
-    missing[found.robots] = missing[[robot for robot, why in doubts.items() if why != DOUBT]] = False
-    if not missing.any():
+    missing[found.robots] = False
+    if doubts:
+        missing[[robot for robot, why in doubts.items() if why != DOUBT]] = False
+    if not np.count_nonzero(missing):
         tracks.reasons[:] = 0.0
         return doubts, {}
     spots.free[:] = True

@@ -25,7 +25,7 @@ from asterism.server.identity.hypotheses import COST, ROBOT, Found
 from asterism.server.identity.led_size import size_of
 from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan
-from asterism.server.identity.search import FARTHER_BELOW, searched
+from asterism.server.identity.search import FARTHER_BELOW, SECOND_QUADS, searched
 from asterism.server.pose.fit import LEDS, SYSTEMATIC_PX
 
 RULER_M = 1e-3  # what LED positions are off where they were measured with a ruler, one sigma an axis
@@ -95,10 +95,12 @@ def loose(
     ``misfits`` (robots,) m, one sigma of what is known of each robot's LEDs, 0 for nothing; ``rivals``: what was
     thought of the spots before.
     """
+    if not wanted.any():
+        return [], {}
     free = spots.free.copy()
     for _, labels, _, _ in found:
         free[labels[labels >= 0]] = False
-    if not wanted.any() or np.count_nonzero(free) < LEDS:
+    if np.count_nonzero(free) < LEDS:
         return [], {}
     spots = spots._replace(free=free)
     fits = _fits(spots, plan, misfits, wanted)
@@ -139,8 +141,8 @@ def misfit_words(misfit_px: float, doubt: str = "") -> str:
 def _fits(spots: Spots, plan: Plan, misfits: Floats, wanted: NDArray[np.bool_]) -> list[_Fit]:
     """What six spots may be of the wanted robots; beyond what the search calls certain only what shares no spot."""
     searching = spots._replace(free=spots.free.copy())
-    brightness = np.where(wanted, 0.0, np.inf)
-    claims, pending = searched(searching, plan, ~wanted, brightness, LEDS, tolerance=tolerance_px(plan))
+    brightness, unlike = np.where(wanted, 0.0, np.inf), SECOND_QUADS // int(np.count_nonzero(wanted))
+    claims, pending = searched(searching, plan, ~wanted, brightness, LEDS, tolerance=tolerance_px(plan), unlike=unlike)
     taken: set[int] = set(claims.spots.ravel().tolist())
     told: list[_Fit] = []
     left = Counter[int]()

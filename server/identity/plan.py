@@ -38,6 +38,7 @@ class Plan:
         self.constellations = Constellations(self.layouts, np.array([optics_of(robot) for robot in rig.robots]))
         self.mounts = Mounts.of(rig)
         self.extents = np.array([robot.extent for robot in rig.robots])
+        self.smallest, self.largest = float(self.extents.min()), float(self.extents.max())
         self.separations = np.full(len(rig.robots), np.inf)
         for confusion in confusions([robot.leds_plane[:, :2] for robot in rig.robots]):
             for robot in (confusion.seen, confusion.taken):
@@ -50,6 +51,8 @@ class Plan:
         # nan where the rig does not say how large the LEDs are
         offsets = [robot.led_offset for robot in rig.robots]
         self.has_scatter = np.array([led is not None and not math.isnan(led.scatter_px) for led in offsets])
+        self.some_scatter = bool(self.has_scatter.any())
+        self.is_weighted = self.has_scatter & np.array([led is not None and led.weighted for led in offsets])
         self.led_radii = np.array([robot.led_radius or math.nan for robot in rig.robots])
         self.largest_radius_px = LARGEST_SPOT * math.hypot(camera.width, camera.height)
         largest = LED_MARGIN * float(self.led_radii.max()) * self.focal / self.near

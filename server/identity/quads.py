@@ -167,8 +167,9 @@ def _layer(four, view):
 
 
 @compiled
-def look_up(room, table, view):
-    """Which entries of the `QuadTable` the four spots in ``room`` (`LookedUp`) may be in that `View`: not mirrored.
+def look_up(room, table, view, wanted):
+    """Which entries of the `QuadTable` the four spots in ``room`` (`LookedUp`) may be in that `View`: not mirrored, and
+    of robots that are ``wanted`` (robots,).
 
     Fills the rest of ``room``, and returns how many entries there are.
     """
@@ -183,6 +184,8 @@ def look_up(room, table, view):
     count = 0
     for place in range(table.starts[cell], table.starts[cell + 1]):
         entry = table.held[place]
+        if not wanted[table.entries[entry, 0]]:
+            continue
         if count < matches.shape[0] and explains(table.numbers[entry], four, order, view, room.sums, hs[count]):
             matches[count] = entry
             count += 1

@@ -43,6 +43,10 @@ REACH_MARGIN = 1.8  # how far from a spot its robot's others may be, over what t
 MOST_QUADS = 12  # for every spot, of less alike ones; beyond that only the nearer combinations were tried
 REACH_PX = 3.0  # how far an LED may lie from where four others put it
 FREE_QUADS = 5000  # however few spots there are
+# For a second opinion (`loose`, `explain`) so many for all robots that are sought together: of a catalogue hundreds
+# that are not there are looked for.
+SECOND_QUADS = 20 * FREE_QUADS
+ANY = 2**31
 SPOT_ERROR_PX = 0.2  # what a spot may be off while its quad is looked up, one sigma
 LEAST_NEARNESS, MOST_NEARNESS = 0.6, 1.6  # 1 / depth of a quad over 1 / far and 1 / near
 SMALLEST_QUAD_PX2 = 30.0  # twice the area: smaller ones say nothing
@@ -74,7 +78,8 @@ class Limits(NamedTuple):
     """``focal`` px; ``near`` and ``far`` m; ``most_tilt``: the cosine of the largest tilt; ``reach``: the chord by
     which the directions of one robot's LEDs are apart at most; ``extent`` of the largest constellation, m; ``fewest``
     LEDs that make a hypothesis; ``alone``: four spots are to make one, all that they may be, but only where they stand
-    apart from all like them; ``tolerance``, px: what lens and LED positions may be off, one sigma.
+    apart from all like them; ``tolerance``, px: what lens and LED positions may be off, one sigma; ``unlike``: quads of
+    less alike spots that are tried at most.
     """
 
     focal: float
@@ -86,6 +91,7 @@ class Limits(NamedTuple):
     fewest: int
     alone: bool
     tolerance: float
+    unlike: int
 
 
 class Results(NamedTuple):
@@ -214,6 +220,16 @@ def _are_apart(local, a, b, reach):
 
 
 @compiled
+def _fill_wanted(brightest, sought, wanted):
+    """Set ``wanted`` (robots,) for the robots that spots no brighter than that may be; whether there are any."""
+    some = False
+    for robot in range(wanted.shape[0]):
+        wanted[robot] = not sought.claimed[robot] or brightest >= MIRROR_RATIO * sought.brightness[robot]
+        some |= wanted[robot]
+    return some
+
+
+@compiled
 def _lay_out(i, near, size, work):
     """Fill ``local`` with the first ``size`` neighbours of spot ``i``."""
     units, frame = work.directions.units, work.four.frame
@@ -226,12 +242,12 @@ def _lay_out(i, near, size, work):
 def _combine(spots, sought, limits, pass_, results, work):
     """Try every spot with three of its neighbours, as the `_Pass` says; returns how many quads were tried."""
     free, lists, four, local, reach = spots.free, pass_.near.lists, work.looked_up.four, work.local, limits.reach
-    view, members = _view(limits), np.empty(4, np.int64)
+    view, members, wanted = _view(limits), np.empty(4, np.int64), np.empty(sought.claimed.shape[0], np.bool_)
     four[0, 0] = four[0, 1] = 0.0
     quads = 0
     for i in pass_.by_height:
         size, previous = pass_.sizes[i], pass_.previous[i]
-        if not free[i] or size <= previous:
+        if not free[i] or size <= previous or not _fill_wanted(spots.heights[i], sought, wanted):
             continue
         _lay_out(i, pass_.near, size, work)
         for a in range(size):
@@ -256,7 +272,7 @@ def _combine(spots, sought, limits, pass_, results, work):
                     if quads > pass_.most:
                         return quads
                     four[3, 0], four[3, 1] = local[c, 0], local[c, 1]
-                    found = look_up(work.looked_up, sought.quads, view)
+                    found = look_up(work.looked_up, sought.quads, view, wanted)
                     if found == 0:
                         continue
                     members[0], members[1], members[2], members[3] = i, j, k, l
@@ -303,7 +319,7 @@ def search(spots, sought, limits, results):
     quads += _combine(spots, sought, limits, _Pass(by_height, near, first, more, n**3), results, work)
     if sought.claimed.all():
         return quads  # rivals of robots that are found stand together, and were met already
-    budget = quads + max(MOST_QUADS * n, FREE_QUADS)
+    budget = quads + min(max(MOST_QUADS * n, FREE_QUADS), limits.unlike)
     near = nearest_neighbours(spots, directions, ranks, limits.reach, (HEIGHT_RATIO, RADIUS_RATIO), DEPTHS[-1])
     likely = _within_reach(spots, work, near, results.claims, limits.extent)
     tried = np.zeros_like(near.counts)
@@ -320,13 +336,12 @@ def search(spots, sought, limits, results):
 
 def searched(
     spots: Spots, plan: Plan, claimed: NDArray[np.bool_], brightness: Floats, fewest: int, alone: bool = False,
-    tolerance: float = SYSTEMATIC_PX,
+    tolerance: float = SYSTEMATIC_PX, unlike: int = ANY,
 ) -> tuple[Fits, Fits]:  # fmt: skip
     """Claims and hypotheses of a search, cut to what there is."""
     sought = Sought(plan.layouts, plan.separations, claimed, brightness, plan.quads)
-    extent = float(plan.extents.max())
-    near = max(plan.near, float(plan.extents.min()) / (WIDEST * NEARER))
-    limits = Limits(plan.focal, near, plan.far, MOST_TILT, plan.reach, extent, fewest, alone, tolerance)
+    near = max(plan.near, plan.smallest / (WIDEST * NEARER))
+    limits = Limits(plan.focal, near, plan.far, MOST_TILT, plan.reach, plan.largest, fewest, alone, tolerance, unlike)
     results = Results(Fits.room(MOST_CLAIMS), Fits.room(MOST_PENDING))
     search(spots, sought, limits, results)
     return results.claims.held(), results.pending.held()

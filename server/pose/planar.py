@@ -315,15 +315,14 @@ def other_minimum(rotation, t, points, rays, other_rotation, other_t):
 
 
 @compiled
-def solve_both(points, rays, information, iterations, total_least_squares, rotations, ts, costs):
+def solve_both(points, rays, information, iterations, rotations, ts, costs):
     """Both minima of the pose: rotations (2, 3, 3), translations (2, 3), robust costs (2,), the cheaper first.
 
     ``points`` must be centred. A minimum that does not exist has cost NO_SOLUTION; False if there is none at all.
     """
     h = np.empty((3, 3))
     costs[0] = costs[1] = NO_SOLUTION
-    found = homography_tls(points, rays, h) if total_least_squares else homography_ls(points, rays, h)
-    if not found or not two_rotations(h, rotations[0], rotations[1]):
+    if not homography_ls(points, rays, h) or not two_rotations(h, rotations[0], rotations[1]):
         return False
     for which in range(2):
         translation(rotations[which], points, rays, ts[which])

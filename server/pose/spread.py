@@ -25,6 +25,7 @@ from asterism.server.pose.valley import (
     value_at,
 )
 
+RESOLVED, CLOSER = 4, 5  # steps of a grid that its tilts in doubt must at least fill, and how often it is drawn closer
 COVERED = 25.0  # squared error, weighted by the covariance, that a tilt in doubt may at most have
 
 
@@ -48,37 +49,65 @@ def spread(x, y, other_x, other_y, alone, step, valley, covariance):
     It is the second moment of all tilts about the minimum, or where that is not ``alone`` of those on its side of the
     other one, widened until it covers those that are in doubt. ``step`` is that of `look_around`.
     """
-    coarse, fine, cost = valley.coarse, valley.fine, valley.cost
-    lowest = value_at(cost, x, y)
+    coarse, lowest = valley.coarse, value_at(valley.cost, x, y)
+    # Tilts on the other side have no share.
     dx, dy = other_x - x, other_y - y
-    half = 0.5 * (other_x * other_x + other_y * other_y - x * x - y * y)
+    half = 1e300 if alone else 0.5 * (other_x * other_x + other_y * other_y - x * x - y * y)
     x0 = x1 = x
     y0 = y1 = y
     for i in range(2 * COARSE + 1):
         for j in range(2 * COARSE + 1):
             at_x, at_y = (i - COARSE) * step, (j - COARSE) * step
-            if coarse[i, j] < lowest + DOUBT and (alone or at_x * dx + at_y * dy < half):
+            if coarse[i, j] < lowest + DOUBT and at_x * dx + at_y * dy < half:
                 x0, x1, y0, y1 = min(x0, at_x), max(x1, at_x), min(y0, at_y), max(y1, at_y)
-    step_x, step_y = 0.5 * (x1 - x0 + 2.0 * step) / FINE_X, 0.5 * (y1 - y0 + 2.0 * step) / FINE_Y
-    x0, y0 = x0 - step, y0 - step
     # Moves are those from this minimum.
-    moves, sums = valley.from_here, valley.sums
+    moves, sums, powers = valley.from_here, valley.sums, valley.beyond
     moves[:, :] = valley.moves
     move_at(x, y, valley.moves, moves[0])
     for k in range(6):
         moves[0, k] = valley.moves[0, k] - moves[0, k]
-    powers = valley.beyond
+    margin_x = margin_y = step
+    for closer in range(CLOSER):
+        step_x, step_y = (0.5 * (x1 - x0) + margin_x) / FINE_X, (0.5 * (y1 - y0) + margin_y) / FINE_Y
+        x0, y0 = x0 - margin_x, y0 - margin_y
+        left, right, low, high = _weigh(lowest, x0, y0, step_x, step_y, dx, dy, half, valley)
+        if (right - left >= RESOLVED and high - low >= RESOLVED) or closer == CLOSER - 1:
+            break
+        margin_x, margin_y = step_x, step_y
+        x0, x1 = min(x, x0 + left * step_x), max(x, x0 + right * step_x)
+        y0, y1 = min(y, y0 + low * step_y), max(y, y0 + high * step_y)
+    total = powers[0, 0]
+    for p in range(6):
+        for q in range(6):
+            sums[p, q] = powers[POWER_X[p] + POWER_X[q], POWER_Y[p] + POWER_Y[q]]
+    _from_sums(total, valley, covariance)
+    for _ in range(3):
+        if not _cover(x0, y0, step_x, step_y, valley, covariance):
+            break
+
+
+@compiled
+def _weigh(lowest, x0, y0, step_x, step_y, dx, dy, half, valley):
+    """Fill ``fine`` with what tilts on a grid cost more than the ``lowest``, and ``beyond`` with the sums of the
+    products of their powers, each weighted by how likely it is.
+
+    Returns between which places of the grid tilts are in doubt: the first and the last in x, and in y.
+    """
+    fine, powers = valley.fine, valley.beyond
     powers[:, :] = 0.0
+    left, right, low, high = 2 * FINE_X, 0, 2 * FINE_Y, 0
     for i in range(2 * FINE_X + 1):
         at_x = x0 + i * step_x
-        a, b, c, d, e = along_y(cost, at_x)
+        a, b, c, d, e = along_y(valley.cost, at_x)
         m0 = m1 = m2 = m3 = m4 = 0.0
         for j in range(2 * FINE_Y + 1):
             at_y = y0 + j * step_y
             above = a - lowest + at_y * (b + at_y * (c + at_y * (d + at_y * e)))
-            if not (alone or at_x * dx + at_y * dy < half):
+            if at_x * dx + at_y * dy >= half:
                 above = 2.0 * DOUBT
             fine[i, j] = above
+            if above < DOUBT:
+                left, right, low, high = min(left, i), max(right, i), min(low, j), max(high, j)
             if above < 1.2 * DOUBT:
                 weight = math.exp(-0.5 * above)
                 m0 += weight
@@ -98,14 +127,7 @@ def spread(x, y, other_x, other_y, alone, step, valley, covariance):
                 powers[k, 3] += power * m3
                 powers[k, 4] += power * m4
                 power *= at_x
-    total = powers[0, 0]
-    for p in range(6):
-        for q in range(6):
-            sums[p, q] = powers[POWER_X[p] + POWER_X[q], POWER_Y[p] + POWER_Y[q]]
-    _from_sums(total, valley, covariance)
-    for _ in range(3):
-        if not _cover(x0, y0, step_x, step_y, valley, covariance):
-            break
+    return left, right, low, high
 
 
 @compiled

@@ -4,22 +4,47 @@ import math
 
 import numpy as np
 
+from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
 from asterism.server.pose.fit import LEDS
 from asterism.server.pose.matched import LEAST_SIGMA_PX, first, gather, lit_room
 from asterism.server.pose.planar import NO_SOLUTION, refine_pose, solve_both
+from asterism.server.pose.rotations import mapped
 
 ITERATIONS = 12
 ODD = 10.0  # how many times worse six LEDs fit than five before the sixth is left out
 ODD_BEFORE, ODD_AREA_PX2 = 0.01, 30.0  # how often other light moves a spot, and over what area
 CLEARLY_OFF = 3.0  # times the surprising cost: if five LEDs then fit without surprise, the sixth is left out as well
-NO_SYSTEMATIC = 20.0  # odds, before a look at the residuals, that the spots' own noise is the whole story
-LEAST_SYSTEMATIC_PX = 0.002  # and from where on, in doublings, it is not: calibration, LED positions
-SYSTEMATIC_STEPS = 11  # to 2 px: a ruler's errors, seen near by
+NO_SYSTEMATIC, PLATE, ANYTHING = 20.0, 2.0, 0.05  # odds, before a look at the residuals, of what spots are off by
+PLATE_SHARE = 1.2e-3  # what LEDs of a plate made with care are off by, of their distance from its middle: 0.05 in 40 mm
+PLATE_SPREAD = 0.8  # one sigma of the logarithm of that variance
+SYSTEMATIC_STEPS = 11  # doublings, from a thirty-second of that to thirty-two times: a ruler's errors, seen near by
 LEAST_KNOWN_PX = 0.01  # what was learned and is less says no more than that the rig is good
-KNOWN_SPREAD, UNLIKE_KNOWN = 0.8, 20.0  # one sigma of the logarithm of the variance that was learned
+GOOD = 0.1  # times as likely is it then that its LEDs are off
+UNLIKE_KNOWN = 20.0  # odds of the variance that was learned against every other
 # 99.9 % of chi squared for 2, 4 and 6 degrees of freedom: beyond it the spots' noise is not the whole story.
 _SURPRISE = np.array([0.0, 0.0, 0.0, 0.0, 13.8, 18.5, 22.5])
+
+
+_STEPS = np.arange(SYSTEMATIC_STEPS) - SYSTEMATIC_STEPS // 2
+_BELL = np.exp(-0.5 * (2.0 * np.log(2.0) / PLATE_SPREAD * _STEPS) ** 2)
+
+
+def _log_priors() -> Floats:
+    """Logarithms (3, SYSTEMATIC_STEPS + 1) of how likely variances are beforehand, none first, and where nothing is
+    known of a robot's LEDs, where they are known to be good, and about a variance that is known.
+    """
+    weights = np.empty((3, SYSTEMATIC_STEPS + 1))
+    for row, factor in enumerate((1.0, GOOD)):
+        weights[row, 0] = NO_SYSTEMATIC
+        weights[row, 1:] = factor * PLATE * _BELL / _BELL.sum() + ANYTHING / SYSTEMATIC_STEPS
+    weights[2, 0] = 1.0 / (SYSTEMATIC_STEPS + 1)
+    weights[2, 1:] = weights[2, 0] + UNLIKE_KNOWN * _BELL
+    logs: Floats = np.log(weights / weights.sum(axis=1)[:, None])
+    return logs
+
+
+_LOG_PRIORS = _log_priors()
 
 
 @compiled
@@ -31,28 +56,36 @@ def systematic(rotation, t, lit, focal, known2):
     neither of which fits on that noise, the better is hardly more likely than the other, however much chi squared
     tells them apart.
 
-    Before, it is none with odds NO_SYSTEMATIC to 1, else anything from LEAST_SYSTEMATIC_PX on, evenly by its logarithm.
-    Where earlier frames have told, it is about that variance, ``known2`` (0 where they have not): log-normal, and with
-    odds UNLIKE_KNOWN to 1 against it anything within the same number of doublings, or none.
+    Before, it is none with odds NO_SYSTEMATIC, with odds PLATE that of LEDs which are off by what a plate made with
+    care has, log-normal about PLATE_SHARE of its size as it is seen, and with odds ANYTHING any within
+    SYSTEMATIC_STEPS doublings about it. So a far robot's dim spots, whose noise exceeds that of its plate, are taken as
+    they are told, and a near robot's bright ones are not. Where earlier frames have told, it is about that variance,
+    ``known2`` (0 where they have not): log-normal, and with odds UNLIKE_KNOWN to 1 against it any other, or none.
     The likelihood is that of residuals with 2 n - 6 degrees of freedom. A mean, since with so few of them the most
-    likely value is often far too small, and errors weighted by it far too large. Of six LEDs it is weighted by the size
-    as well: squared errors follow Fisher's distribution, of which the plain mean leaves 2 in 1000 beyond 60.
+    likely value is often far too small, and errors weighted by it far too large; of more than four LEDs it is weighted
+    by the size as well: squared errors follow Fisher's distribution, of which the plain mean leaves too many far out.
     """
     points, seen, information = lit.points, lit.seen, lit.information
     n = points.shape[0]
-    # Squared residuals over all variances, and the product of the determinants over those of the spots' own noise.
-    squares, growth = np.zeros(SYSTEMATIC_STEPS + 1), np.ones(SYSTEMATIC_STEPS + 1)
-    variances = np.zeros(SYSTEMATIC_STEPS + 1)
     is_known = known2 > (LEAST_KNOWN_PX / focal) ** 2
-    variances[1] = known2 * 4.0 ** ((1 - SYSTEMATIC_STEPS) // 2) if is_known else (LEAST_SYSTEMATIC_PX / focal) ** 2
+    middle = known2
+    if not is_known:
+        size2 = 0.0
+        for i in range(n):
+            size2 += points[i, 0] ** 2 + points[i, 1] ** 2
+        middle = PLATE_SHARE * PLATE_SHARE * size2 / (n * t[2] * t[2])
+    before = _LOG_PRIORS[2 if is_known else (1 if known2 > 0.0 else 0)]
+    # Squared residuals over all variances, and the product of the determinants over those of the spots' own noise.
+    squares, growth, variances = (
+        np.zeros(SYSTEMATIC_STEPS + 1),
+        np.ones(SYSTEMATIC_STEPS + 1),
+        np.zeros(SYSTEMATIC_STEPS + 1),
+    )
+    variances[1] = middle * 4.0 ** (1 - (SYSTEMATIC_STEPS + 1) // 2)
     for k in range(2, SYSTEMATIC_STEPS + 1):
         variances[k] = 4.0 * variances[k - 1]
     for i in range(n):
-        x, y, z = t[0], t[1], t[2]
-        for j in range(3):
-            x += rotation[0, j] * points[i, j]
-            y += rotation[1, j] * points[i, j]
-            z += rotation[2, j] * points[i, j]
+        x, y, z = mapped(rotation, t, points[i])
         e, f = seen[i, 0] - x / z, seen[i, 1] - y / z
         per_det = information[i, 0] * information[i, 2] - information[i, 1] ** 2
         own_xx, xy, own_yy = information[i, 2] / per_det, -information[i, 1] / per_det, information[i, 0] / per_det
@@ -61,29 +94,19 @@ def systematic(rotation, t, lit, focal, known2):
             det = xx * yy - xy * xy
             squares[k] += (yy * e * e - 2.0 * xy * e * f + xx * f * f) / det
             growth[k] *= det * per_det
-    logs = -0.5 * (squares + (2 * n - 6) / (2.0 * n) * np.log(growth))
-    prior = 0.0
+    most = -NO_SOLUTION
     for k in range(SYSTEMATIC_STEPS + 1):
-        before = NO_SYSTEMATIC * SYSTEMATIC_STEPS if k == 0 else 1.0
-        if is_known:
-            before = 1.0 / (SYSTEMATIC_STEPS + 1.0)
-            if k > 0:
-                off = 2.0 * (k - (SYSTEMATIC_STEPS + 1) // 2) * math.log(2.0) / KNOWN_SPREAD
-                before += UNLIKE_KNOWN * math.exp(-0.5 * off * off)
-        logs[k] += math.log(before)
-        prior += before
-    most = logs[0]
-    for k in range(1, SYSTEMATIC_STEPS + 1):
-        most = max(most, logs[k])
-    none = math.exp(logs[0] - most)
+        squares[k] = before[k] - 0.5 * (squares[k] + (n - 3.0) / n * math.log(growth[k]))
+        most = max(most, squares[k])
+    none = math.exp(squares[0] - most)
     some = sizes = mean = 0.0
     for k in range(1, SYSTEMATIC_STEPS + 1):
-        likely, size = math.exp(logs[k] - most), math.sqrt(variances[k]) if n == LEDS else 1.0
+        likely, size = math.exp(squares[k] - most), variances[k] ** (0.25 * (n - 4))
         some += likely
         sizes += likely * size
         mean += likely * size * variances[k]
     mean *= some / max(sizes, 1e-300)
-    return mean / (none + some), -2.0 * (most + math.log((none + some) / prior))
+    return mean / (none + some), -2.0 * (most + math.log(none + some))
 
 
 @compiled
@@ -134,7 +157,7 @@ def odd_led(layout, labels, measured, shifts, start, start_t, focal, known2):
                 return -1
             whole_cost = cost
         # The start may be the wrong tilt, which the odd spot made the better one.
-        solve_both(lit.points, lit.seen, lit.information, ITERATIONS, True, both, both_t, both_costs)
+        solve_both(lit.points, lit.seen, lit.information, ITERATIONS, both, both_t, both_costs)
         for which in range(2):
             if both_costs[which] < cost:
                 cost = both_costs[which]

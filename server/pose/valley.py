@@ -313,6 +313,12 @@ def _reach(x, y, valley):
 
 
 @compiled
+def _leads_out(edge, inside, limit):
+    """Whether the valley goes on beyond a cost at the edge of the grid, or another one may begin there."""
+    return edge <= limit or edge < inside
+
+
+@compiled
 def look_around(x, y, valley):
     """Fill the ``coarse`` costs about the tilt (x, y) of a minimum, to be read by the others; the step of the grid."""
     limit = value_at(valley.cost, x, y) + DOUBT
@@ -325,11 +331,14 @@ def look_around(x, y, valley):
             for j in range(last + 1):
                 at = (j - COARSE) * step
                 valley.coarse[i, j] = a + at * (b + at * (c + at * (d + at * e)))
-        edge = valley.coarse[0, 0]
+        coarse, is_open = valley.coarse, False
         for i in range(last + 1):
-            edge = min(edge, valley.coarse[i, 0], valley.coarse[i, last], valley.coarse[0, i], valley.coarse[last, i])
-        # Near by, the perspective may move the middle of the valley away from the line of sight.
-        if edge > limit or reach >= WIDEST:
+            is_open = is_open or _leads_out(coarse[i, 0], coarse[i, 1], limit)
+            is_open = is_open or _leads_out(coarse[i, last], coarse[i, last - 1], limit)
+            is_open = is_open or _leads_out(coarse[0, i], coarse[1, i], limit)
+            is_open = is_open or _leads_out(coarse[last, i], coarse[last - 1, i], limit)
+        # Near by, the perspective may move the middle of the valley, or the other minimum, away from the line of sight.
+        if not is_open or reach >= WIDEST:
             return step
         reach = min(1.5 * reach, WIDEST)
 
@@ -338,7 +347,8 @@ def look_around(x, y, valley):
 def missed(x, y, other_x, other_y, step, valley):
     """The tilt of the least minimum of the ``coarse`` costs that is neither of the two, and whether there is one."""
     coarse = valley.coarse
-    limit = value_at(valley.cost, x, y) + DOUBT
+    # Between the steps of the grid a narrow one is deeper.
+    limit = value_at(valley.cost, x, y) + FRONTAL
     best_x = best_y = 0.0
     found = False
     for i in range(1, 2 * COARSE):

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from asterism.server.compiled import compiled, compiled_sums
+from asterism.server.compiled import compiled
 from asterism.server.segmentation.pixels import Box, index
 
 TILE_PX = 128
@@ -22,8 +22,9 @@ LARGEST_STEP = 48  # grey levels between neighbours: beyond it certainly an edge
 LEAST_LAMP = 12.0  # grey levels by which light in a tile, or a tile that a lamp fills, stands out
 MOST_RAMP = 16.0  # grey levels by which a tile is brighter than one beside it because the background is a gradient
 DARK_SAMPLES = 4  # neighbours in a row, 16 px, that make a dark part of a tile
+BRIGHTEST = np.uint8(255)
 EDGE = 4.0  # times the mean step, from where on it is an edge (five sigma)
-ZERO32, ONE32 = np.int32(0), np.int32(1)
+ZERO16, ONE16 = np.int16(0), np.int16(1)  # counts and sums of steps of a tile's few hundred samples
 
 
 @compiled
@@ -43,52 +44,63 @@ def _sample(image, box, values, steps):
     return count
 
 
-@compiled_sums
-def _up_to(values, most):
-    """How many of the values (n,) uint8 are no more than ``most``, and their sum."""
-    number, total = ZERO32, ZERO32
+@compiled
+def _count_up_to(values, most):
+    """How many of the values (n,) uint8 are no more than ``most``, uint8."""
+    number = ZERO16
     for k in range(values.shape[0]):
-        value = np.int32(values[k])
-        number += ONE32 if value <= most else ZERO32
-        total += value if value <= most else ZERO32
-    return number, total
+        number = np.int16(number + (ONE16 if values[k] <= most else ZERO16))
+    return np.int64(number)
 
 
 @compiled
-def _middle(values):
-    """The median of values (n,) uint8: half way between the two middle ones."""
-    below, lower = -1, 255
+def _middle_values(values, guess):
+    """The two middle ones of values (n,) uint8; the nearer the ``guess`` of the lower, the sooner it is found."""
+    n = values.shape[0]
+    below, lower, up_to_lower = -1, 255, n
+    at, step = guess, 1
+    # Outwards from the guess until the lower one lies between, then by halves.
     while lower - below > 1:
-        half = (below + lower) // 2
-        number, _ = _up_to(values, np.int32(half))
-        if 2 * number >= values.shape[0]:
-            lower = half
+        count = _count_up_to(values, np.uint8(at))
+        if 2 * count >= n:
+            lower, up_to_lower = at, count
         else:
-            below = half
-    number, _ = _up_to(values, np.int32(lower))
+            below = at
+        if below < 0:
+            at, step = max(lower - step, 0), 4 * step
+        elif lower == 255:
+            at, step = min(below + step, 254), 4 * step
+        else:
+            at = (below + lower) // 2
     upper = lower
-    if 2 * number <= values.shape[0]:
+    if 2 * up_to_lower <= n:
         upper = 255
         for value in values:
             if lower < value < upper:
                 upper = np.int64(value)
-    return 0.5 * (lower + upper)
+    return lower, upper
 
 
 @compiled
 def _darkest(values):
     """The level of the darkest stretch of DARK_SAMPLES neighbours among values (n,) uint8, told by its brightest."""
-    darkest = 255
+    darkest = BRIGHTEST
     for k in range(values.shape[0] - DARK_SAMPLES + 1):
-        brightest = max(values[k], values[k + 1], values[k + 2], values[k + 3])
-        darkest = min(darkest, brightest)
+        first, last = max(values[k], values[index(k + 1)]), max(values[index(k + 2)], values[index(k + 3)])
+        darkest = min(darkest, max(first, last))
     return float(darkest)
 
 
 @compiled
-def _mean_up_to(values, most):
-    number, total = _up_to(values, np.int32(min(most, 255)))
-    return total / max(number, 1)
+def _mean_up_to(steps, most):
+    """The mean of those steps (n,) uint8 that are no more than ``most``, which is LARGEST_STEP at most."""
+    most = np.uint8(most)
+    number, total = ZERO16, ZERO16
+    for k in range(steps.shape[0]):
+        counts = steps[k] <= most
+        number = np.int16(number + (ONE16 if counts else ZERO16))
+        total = np.int16(total + (np.int16(steps[k]) if counts else ZERO16))
+    return total / max(np.int64(number), 1)
 
 
 @compiled
@@ -102,13 +114,16 @@ def measure_background(image, level, noise):
     tiles_y, tiles_x = level.shape
     most = _SAMPLED_ROWS * (width // (tiles_x * _STEP_PX) + 2)
     values, steps = np.empty(most, np.uint8), np.empty(most, np.uint8)
+    lower = 0
     for ty in range(tiles_y):
         for tx in range(tiles_x):
             box = Box(
                 tx * width // tiles_x, (tx + 1) * width // tiles_x, ty * height // tiles_y, (ty + 1) * height // tiles_y
             )
             count = _sample(image, box, values, steps)
-            middle, darkest = _middle(values[:count]), _darkest(values[:count])
+            # A tile's neighbour is the best guess.
+            lower, upper = _middle_values(values[:count], lower)
+            middle, darkest = 0.5 * (lower + upper), _darkest(values[:count])
             level[ty, tx] = darkest if darkest < middle - LEAST_LAMP else middle
             # Steps far beyond the usual are edges, not noise. E|difference| = 2 sigma / sqrt(pi); at most a grey level
             # of rounding hides what is below.
@@ -205,8 +220,17 @@ def interpolate(tiles, y, x, height, width):
 
 
 @compiled
-def _line_of_seeds(level, noise, sigmas, least, line):
-    """Fill ``line`` (w,) float32 with the seed thresholds at the height of a row of tiles' centres."""
+def _fill_ramp(start, slope, places, line):
+    """Fill ``line`` (n,) float32 with a ramp at the ``places`` (n,)."""
+    for k in range(line.shape[0]):
+        line[k] = start + slope * places[k]
+
+
+@compiled
+def _line_of_seeds(level, noise, sigmas, least, places, line):
+    """Fill ``line`` (w,) float32 with the seed thresholds at the height of a row of tiles' centres; ``places`` (w,)
+    float32 are 0, 1, 2 ...
+    """
     tiles, width = level.shape[0], line.shape[0]
     per_px = tiles / width
     # From one tile's centre to the next it is a ramp; beyond the outer ones it is level.
@@ -217,8 +241,7 @@ def _line_of_seeds(level, noise, sigmas, least, line):
         left = min(level[j0] + max(sigmas * noise[j0], least), 255.0)
         rise = min(level[j1] + max(sigmas * noise[j1], least), 255.0) - left
         start, slope = np.float32(left + rise * (0.5 * per_px - 0.5 - j)), np.float32(rise * per_px)
-        for x in range(x0, x1):
-            line[x] = start + slope * np.float32(x)
+        _fill_ramp(start, slope, places[x0:x1], line[x0:x1])
 
 
 @compiled
@@ -228,9 +251,11 @@ def seed_thresholds(level, noise, sigmas, least, height, width, thresholds):
     The threshold is the background plus ``sigmas`` times its noise, at least ``least`` grey levels.
     """
     tiles_y = level.shape[0]
-    lines = np.empty((tiles_y, width), np.float32)
+    lines, places = np.empty((tiles_y, width), np.float32), np.empty(width, np.float32)
+    for x in range(width):
+        places[x] = x
     for ty in range(tiles_y):
-        _line_of_seeds(level[ty], noise[ty], sigmas, least, lines[ty])
+        _line_of_seeds(level[ty], noise[ty], sigmas, least, places, lines[ty])
     # Every block is a blend of two lines: stepped from block to block in parts of a grey level, which is what the
     # compiler makes the fastest code of.
     now, change = np.empty(width, np.int16), np.empty(width, np.int16)

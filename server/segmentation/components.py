@@ -12,8 +12,8 @@ from asterism.server.segmentation.background import BLOCK_ROWS
 from asterism.server.segmentation.pixels import Box, index
 
 # Columns of the component table; X1 and Y1 are exclusive, START is the column of a pixel of it in its first row.
-X0, X1, Y0, Y1, AREA, PEAK, SATURATED, START = range(8)
-COMPONENT_COLUMNS = 8
+X0, X1, Y0, Y1, AREA, PEAK, START = range(7)
+COMPONENT_COLUMNS = 7
 
 # Columns of the runs: row, first column, last but one, number of the component.
 ROW, FIRST, END, NUMBER = range(4)
@@ -34,13 +34,27 @@ def box_of(component):
 
 
 @compiled
-def _mark_hot_columns(image, limit, y0, y1, mark):
-    """Set ``mark`` (w,) where a row from ``y0`` to ``y1`` (exclusive) has a pixel above the ``limit`` (w,)."""
-    mark[:] = 0
+def _raise_to(row, tops):
+    """Raise ``tops`` (w,) to a row (w,) of the image where that is brighter."""
+    for x in range(tops.shape[0]):
+        tops[x] = max(tops[x], row[x])
+
+
+@compiled
+def _mark_above(limit, tops):
+    """Turn ``tops`` (w,) into marks: whether they are above the ``limit`` (w,)."""
+    for x in range(tops.shape[0]):
+        tops[x] = tops[x] > limit[x]
+
+
+@compiled
+def _mark_hot_columns(image, limit, y0, y1, hot):
+    """Set ``hot`` (w,) where a row from ``y0`` to ``y1`` (exclusive) has a pixel above the ``limit`` (w,)."""
+    hot[:] = 0
+    # Row by row, the order in which memory is fastest.
     for y in range(y0, y1):
-        row = image[y]
-        for x in range(mark.shape[0]):
-            mark[x] |= row[x] > limit[x]
+        _raise_to(image[y], hot)
+    _mark_above(limit, hot)
 
 
 @compiled
@@ -153,7 +167,7 @@ def connect(image, thresholds, hot, runs, parent, table):
             runs[k, NUMBER] = components
             entry = table[components]
             entry[X0], entry[X1], entry[Y0], entry[Y1] = width, 0, y, y + 1
-            entry[AREA] = entry[PEAK] = entry[SATURATED] = 0
+            entry[AREA] = entry[PEAK] = 0
             entry[START] = start
             components += 1
         else:
@@ -164,10 +178,8 @@ def connect(image, thresholds, hot, runs, parent, table):
         entry[Y1] = max(entry[Y1], y + 1)
         entry[AREA] += end - start
         row = image[y]
-        peak, saturated = entry[PEAK], entry[SATURATED]
+        peak = entry[PEAK]
         for x in range(start, end):
-            value = row[index(x)]
-            peak = max(peak, value)
-            saturated += value == 255
-        entry[PEAK], entry[SATURATED] = peak, saturated
+            peak = max(peak, row[index(x)])
+        entry[PEAK] = peak
     return components, count

@@ -8,6 +8,7 @@ import numpy as np
 
 from asterism.server.compiled import compiled
 from asterism.server.segmentation.components import START, Y0
+from asterism.server.segmentation.pixels import index
 
 PROMINENCE = 0.12  # a peak that stands out less, as a share of its height, belongs to its neighbour
 
@@ -66,15 +67,16 @@ def watershed(seeds, box, base, noise, labels, regions):
         cell = order[k]
         cy, cx = cell // width, cell % width
         value = float(image[cy + y0, cx + x0])
-        best = -1
-        best_value = -1.0
+        best, best_value, one = -1, -1, True
         # First the brightest neighbour's region, then judge every other region that meets it here.
         for ny in range(max(cy - 1, 0), min(cy + 2, height)):
             for nx in range(max(cx - 1, 0), min(cx + 2, width)):
-                label = labels[ny * width + nx]
-                if label >= 0 and image[ny + y0, nx + x0] > best_value:
-                    best = label
-                    best_value = float(image[ny + y0, nx + x0])
+                label = np.int64(labels[index(ny * width + nx)])
+                if label >= 0:
+                    one &= best < 0 or label == best
+                    beside = np.int64(image[index(ny + y0), index(nx + x0)])
+                    if beside > best_value:
+                        best, best_value = label, beside
         if best < 0:
             regions[count, 0], regions[count, 1] = value, -1.0
             regions[count, 2] = regions[count, 3] = count
@@ -82,6 +84,9 @@ def watershed(seeds, box, base, noise, labels, regions):
             count += 1
             continue
         mine = _follow(regions, best, 2)
+        if one:
+            labels[cell] = mine
+            continue
         for ny in range(max(cy - 1, 0), min(cy + 2, height)):
             for nx in range(max(cx - 1, 0), min(cx + 2, width)):
                 other = labels[ny * width + nx]

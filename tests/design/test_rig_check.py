@@ -68,7 +68,7 @@ def test_flips_are_as_frequent_as_with_simulated_noise(
             mapped = centred @ rotation.T + t
             for _ in range(trials):
                 rays = mapped[:, :2] / mapped[:, 2:] + sigma * rng.standard_normal((6, 2))
-                assert solve_both(centred, rays, information, 12, False, rotations, ts, costs)
+                assert solve_both(centred, rays, information, 12, rotations, ts, costs)
                 found, mirrored = rotations[0, :, 2], rotation[:, 2] * [-1, -1, 1]
                 wrong += int(found @ mirrored > found @ rotation[:, 2])
                 poses += 1

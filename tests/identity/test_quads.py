@@ -72,10 +72,11 @@ def test_four_leds_are_looked_up_in_any_perspective_and_their_mirror_image_is_no
     table = QuadTable.of(layouts, np.full(4, math.sin(math.radians(75)) / (0.8 * near)))
     room, order, values, frame = room_to_look_up(), np.empty(4, np.int64), np.empty(2), np.empty((3, 3))
     view = View(0.6 / far, 1.6 / near, 0.8 * math.cos(math.radians(75)), spot, 1e-5)
+    wanted = np.ones(4, np.bool_)
 
     def looked_up(flat: Floats, leds: tuple[int, ...]) -> list[list[int]]:
         room.four[:] = flat[list(leds)]
-        count = look_up(room, table, view)
+        count = look_up(room, table, view, wanted)
         assert count < len(room.matches)
         return [table.entries[k].tolist() for k in room.matches[:count]]
 

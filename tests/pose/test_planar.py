@@ -40,7 +40,7 @@ def unit_information(sigma: float, count: int = 6) -> Floats:
 
 def solve(points: Floats, rays: Floats, information: Floats) -> tuple[Floats, Floats, Floats]:
     rotations, ts, costs = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty(2)
-    assert solve_both(points, rays, information, 20, True, rotations, ts, costs)
+    assert solve_both(points, rays, information, 20, rotations, ts, costs)
     return rotations, ts, costs
 
 

@@ -45,9 +45,10 @@ ROUNDS = 3
 # by one standard error, since few poses may be lucky.
 MORE_SCATTER_PX = (0.0, 0.003, 0.005, 0.007, 0.01, 0.014, 0.02, 0.028, 0.04, 0.056, 0.08, 0.11, 0.15)
 POSE = 6  # numbers
+BEYOND = math.radians(12.0)  # the largest angle seen: up to there the file says how little it knows
 STRANGE_SHARE = 0.98  # of the LEDs' spots, whose strange light is counted as their own
 # LEDs of whose light nothing is known: what is strange in it is no other light beside it.
-UNKNOWN = LedOffset(np.zeros(1), math.pi / 2, np.zeros(1), 1.0, np.zeros((0, 1)), 0.15, LARGEST_SCATTER_PX)
+UNKNOWN = LedOffset(np.zeros(1), math.pi / 2, np.zeros(1), 1.0, np.zeros((0, 1)), 0.15, LARGEST_SCATTER_PX, True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,10 +56,11 @@ class OffsetCalibration:
     """``spread``: how far everything is off; ``sigmas`` (k,) m of the offset's values; ``used`` (n,) which sightings it
     rests on, the others being far off what they say.
 
-    ``angles`` (n,) rad and ``distances`` (n,) m at which the robots were seen; ``before`` and ``after``: errors (n, 3)
-    m and (n,) rad of poses, the latter held out, by the rig as it is and with the offset; ``weighted`` (n,): squared
-    errors of the latter by their covariances. ``helps``: whether poses that it was not fitted to gain, so that it is
-    worth having. ``told_distance``: whether the distances differ enough to tell what changes with them.
+    ``angles`` (n,) rad and ``distances`` (n,) m at which the robots were seen, single LEDs up to ``seen_up_to`` rad;
+    ``before`` and ``after``: errors (n, 3) m and (n,) rad of poses, the latter held out, by the rig as it is and with
+    the offset; ``weighted`` (n,): squared errors of the latter by their covariances. ``helps``: whether poses that it
+    was not fitted to gain, so that it is worth having. ``told_distance``: whether the distances differ enough to tell
+    what changes with them.
     """
 
     offset: LedOffset
@@ -67,6 +69,7 @@ class OffsetCalibration:
     used: NDArray[np.bool_]
     angles: Floats
     distances: Floats
+    seen_up_to: float
     before: tuple[Floats, Floats]
     after: tuple[Floats, Floats]
     weighted: Floats
@@ -78,7 +81,8 @@ class _Survey:
     """Pairs as they are fitted: by a rig without offset."""
 
     def __init__(self, rig: Rig, pairs: Pairs, largest: float, distance: float, told_distance: bool) -> None:
-        self.pairs, self.largest, self.distance, self.told_distance = pairs, largest, distance, told_distance
+        self.pairs, self.distance, self.told_distance = pairs, distance, told_distance
+        self.up_to = min(largest + BEYOND, math.pi / 2)
         self.rig = replace(rig, robots=tuple(replace(robot, led_offset=None) for robot in rig.robots))
         table = table_of(pairs, self.rig)
         axes = np.array([robot.T_robot_plane.rotation.T @ robot.axis for robot in rig.robots])
@@ -88,7 +92,7 @@ class _Survey:
 
     def nothing(self) -> LedOffset:
         """The offset that a fit begins with."""
-        return LedOffset.table(np.zeros(knots_for(self.largest)), self.largest)
+        return LedOffset.table(np.zeros(knots_for(self.up_to)), self.up_to)
 
     def linear(self, offset: LedOffset) -> Linear:
         """All pairs, linear about an offset."""
@@ -105,7 +109,7 @@ class _Survey:
         strange = float(np.quantile(self.strange[seen], STRANGE_SHARE))
         values, changes = found.values[:knots], found.values[knots:]
         doubts = doubts_of(found, spread)
-        return LedOffset(values, self.largest, changes, self.distance, doubts, spread.scatter, strange)
+        return LedOffset(values, self.up_to, changes, self.distance, doubts, spread.scatter, strange, True)
 
 
 def calibrate_offset(rig: Rig, pairs: Pairs, film: str) -> OffsetCalibration:
@@ -132,7 +136,7 @@ def calibrate_offset(rig: Rig, pairs: Pairs, film: str) -> OffsetCalibration:
     helps = rms[1] < rms[0] and float(gain.sum()) > float(gain.std()) * math.sqrt(len(gain))
     sigmas = np.sqrt(np.diag(found.covariance)[: len(offset.values)])
     return OffsetCalibration(
-        offset, spread, sigmas, used, angles, distances, before, after, weighted, helps, told_distance
+        offset, spread, sigmas, used, angles, distances, largest, before, after, weighted, helps, told_distance
     )
 
 
@@ -144,11 +148,11 @@ def _at_most(squared: Floats) -> float:
 def _fitted(survey: _Survey) -> tuple[Linear, Found, Spread, NDArray[np.bool_]]:
     """The fit to all poses but those that are far off."""
     used = np.ones(len(survey.pairs), np.bool_)
-    largest, spread = survey.largest, START
+    up_to, spread = survey.up_to, START
     linear = survey.linear(survey.nothing())
     for _ in range(ROUNDS):
-        spread = most_likely(linear.rows(used), largest, spread)
-        found = posterior(linear.rows(used), largest, spread)
+        spread = most_likely(linear.rows(used), up_to, spread)
+        found = posterior(linear.rows(used), up_to, spread)
         linear = survey.linear(survey.offset(found, spread, used))
         left = chi2_with(linear, found.values, spread) / (2.0 * survey.table.seen)
         now = left <= FAR_OFF * max(float(np.median(left)), 1e-9)
@@ -191,7 +195,7 @@ def _held_out(
     away, turned, weighted, chi2 = np.full((n, 3), np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
     for fold in range(FOLDS):
         out = folds == fold
-        found = posterior(linear.rows(~out & used), survey.largest, spread)
+        found = posterior(linear.rows(~out & used), survey.up_to, spread)
         chi2[out] = chi2_with(linear.rows(out), found.values, spread)
         tried = with_offset(survey.rig, survey.offset(found, told, used))
         rows = np.flatnonzero(out)

@@ -1,4 +1,4 @@
-"""Sightings of robots with LEDs as they are built (`cup_leds`): each rendered, then centred as by the chain."""
+"""Sightings of robots with LEDs as they are built (`cup_leds`): each rendered, then centred as with a led.yaml."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,6 +13,7 @@ from asterism.server.calibration.leds.observations import LedCentres, Sighting
 from asterism.server.calibration.survey.survey import SurveyedPose
 from asterism.server.calibration.survey.surveyed import Pairs
 from asterism.server.centres.blobs import find_blobs
+from asterism.server.centres.weighted import weigh_spots
 from asterism.server.segmentation.segment import Scratch
 from asterism.server.segmentation.spot_table import SHOULDER
 from tests.calibration.survey.cup_leds import FINER, CupLed, add_light, blurred
@@ -60,9 +61,11 @@ def cup_pairs(rig: Rig, poses: Sequence[Pose], led: CupLed, rng: np.random.Gener
 
 
 def centred(
-    rig: Rig, leds: Floats, axes: Floats, led: CupLed, rng: np.random.Generator, light: Light
+    rig: Rig, leds: Floats, axes: Floats, led: CupLed, rng: np.random.Generator, light: Light, weighted: bool = True
 ) -> tuple[Floats, Floats, Floats]:
-    """Centres (n, 2) px, covariances (n, 2, 2) px^2 and strange light (n,) px of spots of LEDs at ``leds`` (n, 3) m."""
+    """Centres (n, 2) px, covariances (n, 2, 2) px^2 and strange light (n,) px of spots of LEDs at ``leds`` (n, 3) m:
+    weighted means, or by the rig's estimator.
+    """
     n = len(leds)
     rows = -(-n // PER_ROW)
     canvas = np.zeros((rows * TILE, PER_ROW * TILE))
@@ -77,6 +80,8 @@ def centred(
     image = np.clip(np.rint(canvas + light.background + noise), 0, 255).astype(np.uint8)
     blobs = find_blobs(image, 12.0, np.zeros((0, 4), np.int64), rig.centre, Scratch.of(*image.shape))
     kept = blobs.kept
+    if weighted:
+        weigh_spots(image, blobs.table, kept[:, None], blobs.centres_px)
     centres, spreads, strange = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan), np.zeros(n)
     places = blobs.centres_px[kept]
     tiles = (places[:, 0] // TILE + PER_ROW * (places[:, 1] // TILE)).astype(int)
