@@ -35,16 +35,17 @@ class ServerState:
         self._answers = 0
         self._alone = False
         self._alive_since_ns: int | None = None
-        self._beat_ns: int | None = None
+        self._heard_ns: int | None = None  # anything at all
+        self._beat_yet = False
         self._late: tuple[int, float] | None = None  # when, and by how much
 
     def shows(self, is_alive: bool, now_ns: int) -> None:
         """Its liveliness token came or went."""
-        self._alive_since_ns, self._beat_ns = (now_ns if is_alive else None), None
+        self._alive_since_ns, self._heard_ns, self._beat_yet = (now_ns if is_alive else None), None, False
 
     def beats(self, beat: "pb.Beat", now_ns: int) -> None:
         """It told that it lives."""
-        self._beat_ns = now_ns
+        self._beat_yet = True
         age = self.age(beat.session)
         age.runs_at(beat.rate)
         self.arrived(age, beat.time_ns, now_ns)
@@ -113,6 +114,7 @@ class ServerState:
 
     def arrived(self, age: SessionAge, published_ns: int, now_ns: int) -> float:
         """A message arrived: by how many s later than it went out; nan where that cannot be known."""
+        self._heard_ns = now_ns
         time_ns = age.time_ns(now_ns)
         if time_ns is None or (published_ns - time_ns) * 1e-9 <= FUTURE_S * age.rate:
             age.heard(now_ns, published_ns)
@@ -129,9 +131,9 @@ class ServerState:
         name, since_ns = f"camera {self.camera!r}", self._alive_since_ns
         if since_ns is None:
             return Link(LinkState.GONE, f"{name}: the server is gone")
-        # One of protocol 1 does not beat, and one that has just been found need not have yet.
-        heard_ns = self._beat_ns if self._beat_ns is not None else since_ns
-        if (self._beat_ns is not None or self.protocol > 1) and now_ns - heard_ns > SILENT_NS:
+        heard_ns = self._heard_ns if self._heard_ns is not None else since_ns
+        # One of protocol 1 does not beat. Over a slow link the beat waits behind poses.
+        if (self._beat_yet or self.protocol > 1) and now_ns - heard_ns > SILENT_NS:
             silent_s = (now_ns - heard_ns) * 1e-9
             return Link(LinkState.SILENT, f"{name}: the server has stopped answering, for {silent_s:.1f} s")
         if self._late is not None and now_ns - self._late[0] < SLOW_NS:

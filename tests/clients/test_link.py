@@ -1,0 +1,96 @@
+"""Whether a robot is out of sight, its server frozen, or gone; and how programs end."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from asterism.clients import LinkState, PoseClient
+from asterism.clients.server_state import ServerState
+from asterism.protocol import asterism_pb2 as pb
+from tests.clients.serving import Server, until
+from tests.helpers import REPOSITORY
+
+
+def test_no_pose_and_a_newer_server_are_told(endpoint: str, server: Server, caplog: pytest.LogCaptureFixture) -> None:
+    with PoseClient(endpoint) as robots:
+        feed = robots["alpha"]
+        until(lambda: robots.link.state is LinkState.LIVE)
+        assert feed.link.state is LinkState.NO_POSE
+        assert feed.link.sentence == "robot 'alpha': no pose yet; camera 'cam': the server is alive"
+        until(lambda: server.tell() or feed.link.state is LinkState.LIVE)
+        until(lambda: feed.link.state is LinkState.NO_POSE)
+        assert "robot 'alpha': no pose for " in feed.link.sentence
+    state = ServerState("cam", threading.Event())
+    state.answers(pb.RigReport(protocol=3, session=5, time_ns=10**18, rate=1.0), 0, 1000)
+    assert "speaks protocol 3, this program knows 2" in state.newer
+    state.answers(pb.RigReport(protocol=2, session=5, time_ns=10**18, rate=1.0), 0, 1000)
+    assert state.newer == ""
+
+
+FROZEN = """
+import sys, time
+from tests.clients.serving import Server
+server = Server(sys.argv[1])
+while True:
+    server.tell()
+    time.sleep(0.01)
+"""
+
+
+def test_a_frozen_server_a_dead_one_and_a_robot_out_of_sight_are_told_apart(endpoint: str) -> None:
+    process = subprocess.Popen([sys.executable, "-c", FROZEN, endpoint], cwd=REPOSITORY)
+    try:
+        with PoseClient(endpoint) as robots:
+            feed = robots["alpha"]
+            until(lambda: feed.link.state is LinkState.LIVE)
+            assert robots["bravo"].link.state is LinkState.NO_POSE
+            os.kill(process.pid, signal.SIGSTOP)
+            until(lambda: robots.link.state is LinkState.SILENT)
+            assert "has stopped answering, for " in robots.link.sentence
+            assert not robots.alive
+            os.kill(process.pid, signal.SIGCONT)
+            until(lambda: feed.link.state is LinkState.LIVE)
+            process.kill()
+            until(lambda: robots.link.state is LinkState.GONE)
+            assert robots.link.sentence == "camera 'cam': the server is gone"
+    finally:
+        process.kill()
+        process.wait()
+
+
+PROGRAM = """
+import sys
+from asterism.clients import PoseClient
+client = PoseClient(sys.argv[1])
+feed, everyone = client["alpha"], client.all()
+taken = []
+feed.on_pose(taken.append)
+print("ready", flush=True)
+for pose in feed:
+    if len(taken) > 4:
+        break
+if sys.argv[2] == "raise":
+    raise SystemExit(3)
+if sys.argv[2] == "close":
+    client.close()
+"""
+
+
+@pytest.mark.parametrize(("how", "code"), [("leave", 0), ("close", 0), ("raise", 3)])
+def test_programs_older_than_their_server_end_as_they_should(endpoint: str, how: str, code: int) -> None:
+    command = [sys.executable, *(["-O"] if how == "leave" else []), "-c", PROGRAM, endpoint, how]
+    programs = [
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=REPOSITORY)
+        for _ in range(3)
+    ]
+    for program in programs:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "ready\n"
+    server = Server(endpoint)
+    until(lambda: server.tell() or all(program.poll() is not None for program in programs))
+    server.close()
+    assert [(program.returncode, program.communicate()[1]) for program in programs] == [(code, "")] * 3
