@@ -3,6 +3,7 @@
 import logging
 from typing import TYPE_CHECKING, NamedTuple
 
+from asterism.clients.age import SLACK_S
 from asterism.clients.received_pose import clock_ns
 from asterism.clients.servers import Servers
 from asterism.protocol.codec import decode_rig
@@ -16,7 +17,7 @@ SOON_S = 0.3  # while a server has not answered
 WANTED_S = 0.05  # while somebody waits for an answer
 TIMEOUT_S = 10.0
 MOST_WAITING = 3  # questions under way
-ROUND_TRIP_S = 0.02  # a clock told after longer is asked for again soon, ...
+ROUND_TRIP_S = SLACK_S  # a clock told after longer is asked for again soon, ...
 TRIES = 5  # ... so often
 EMPTY = 2  # as many questions without an answer mean that a server tells nothing
 _LOG = logging.getLogger(__name__)
