@@ -2,8 +2,6 @@
 
 import math
 
-import numpy as np
-
 from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import RobotPose
 
@@ -11,7 +9,7 @@ LOCATED = ("TRACKED", "TILT_AMBIGUOUS")
 LEDS = range(4, 7)  # that a pose can rest on
 LONGEST_S = 600.0  # from exposure to publishing
 _NS = 1 << 63
-_UNEVEN = 1e-6  # of a covariance's two halves, in standard deviations
+_UNEVEN = 1e-6  # of a covariance's two halves, as a correlation
 
 
 def problem(pose: RobotPose, robot: str) -> str | None:
@@ -22,7 +20,7 @@ def problem(pose: RobotPose, robot: str) -> str | None:
         return f"has state {pose.state[:40]!r}, expected {' or '.join(LOCATED)}"
     if pose.leds not in LEDS:
         return f"rests on {_number(pose.leds)} LEDs, expected {LEDS[0]} to {LEDS[-1]}"
-    if not np.isfinite(pose.position).all():
+    if not _is_finite(pose.position):
         return "has a position that is not finite"
     if not (math.isfinite(pose.rms_px) and pose.rms_px >= 0.0):
         return f"has residuals of {pose.rms_px} px"
@@ -30,8 +28,8 @@ def problem(pose: RobotPose, robot: str) -> str | None:
         return "has a covariance that is none"
     velocity = pose.velocity
     if velocity is not None and not (
-        np.isfinite(velocity.linear).all()
-        and np.isfinite(velocity.angular).all()
+        _is_finite(velocity.linear)
+        and _is_finite(velocity.angular)
         and is_covariance(velocity.covariance)
         and all(0.0 <= density < math.inf for density in velocity.accelerations)
     ):
@@ -40,16 +38,22 @@ def problem(pose: RobotPose, robot: str) -> str | None:
 
 
 def is_covariance(matrix: Floats) -> bool:
-    """Finite, symmetric, with variances above 0 and no correlation beyond 1."""
-    variances = np.diag(matrix)
-    if not (np.isfinite(matrix).all() and (variances > 0.0).all()):
+    """Finite, symmetric, with variances above 0 and no correlation beyond 1: (n, n)."""
+    rows = matrix.tolist()  # plain numbers: numpy is slow at small arrays
+    variances = [rows[k][k] for k in range(len(rows))]
+    if not all(0.0 < variance < math.inf for variance in variances):
         return False
-    with np.errstate(all="ignore"):  # of numbers that are all but infinite, or nothing
-        sigmas = np.sqrt(variances)
-        correlations = matrix / sigmas / sigmas[:, None]
-    return bool(
-        (np.abs(correlations - correlations.T) <= _UNEVEN).all() and (np.abs(correlations) <= 1.0 + _UNEVEN).all()
-    )
+    sigmas = [math.sqrt(variance) for variance in variances]
+    for i, row in enumerate(rows):
+        for j in range(i):
+            most = sigmas[i] * sigmas[j]
+            if not (abs(row[j]) <= (1.0 + _UNEVEN) * most and abs(row[j] - rows[j][i]) <= _UNEVEN * most):
+                return False
+    return True
+
+
+def _is_finite(vector: Floats) -> bool:
+    return all(map(math.isfinite, vector.tolist()))
 
 
 def _times(pose: RobotPose) -> str | None:

@@ -71,10 +71,10 @@ def test_a_client_may_be_closed_from_a_callback(endpoint: str, server: Server) -
 
 def test_poses_come_to_asyncio(endpoint: str, server: Server) -> None:
     async def follow(robots: PoseClient) -> list[int]:
-        numbers = itertools.count()
-        seen = []
+        numbers, seen = itertools.count(100), []
+        poses = robots["alpha"].stream()
         server.tell(sequence=next(numbers))
-        async for pose in robots["alpha"].stream():
+        async for pose in poses:
             seen.append(pose.sequence)
             if len(seen) == 5:
                 break
