@@ -80,17 +80,23 @@ if sys.argv[2] == "close":
 """
 
 
-@pytest.mark.parametrize(("how", "code"), [("leave", 0), ("close", 0), ("raise", 3)])
-def test_programs_older_than_their_server_end_as_they_should(endpoint: str, how: str, code: int) -> None:
-    command = [sys.executable, *(["-O"] if how == "leave" else []), "-c", PROGRAM, endpoint, how]
-    programs = [
-        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=REPOSITORY)
-        for _ in range(3)
-    ]
-    for program in programs:
+def test_programs_older_than_their_server_end_as_they_should(endpoint: str) -> None:
+    ways = {"leave": 0, "close": 0, "raise": 3}
+    programs = {
+        how: subprocess.Popen(
+            [sys.executable, *(["-O"] if how == "leave" else []), "-c", PROGRAM, endpoint, how],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=REPOSITORY,
+        )
+        for how in ways
+    }
+    for program in programs.values():
         assert program.stdout is not None
         assert program.stdout.readline() == "ready\n"
     server = Server(endpoint)
-    until(lambda: server.tell() or all(program.poll() is not None for program in programs))
+    until(lambda: server.tell() or all(program.poll() is not None for program in programs.values()))
     server.close()
-    assert [(program.returncode, program.communicate()[1]) for program in programs] == [(code, "")] * 3
+    ends = {how: (program.returncode, program.communicate()[1]) for how, program in programs.items()}
+    assert ends == {how: (code, "") for how, code in ways.items()}

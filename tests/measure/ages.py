@@ -1,17 +1,20 @@
-"""Are ages of poses true, over links that are not good: `python -m tests.measure.ages [--seconds 20] [--programs 40]`.
+"""Are ages of poses true, over links that are not good: `python -m tests.measure.ages [--seconds 20]`.
 
 `asterism serve` plays the demo's five robots at 60 Hz; a client reads through a TCP link that is whole, stands still
 for 5 s again and again, or carries 60 kB/s. Every 2 ms it asks for a pose of at most 0.1 s; its true age is the
 machine's clock, which stamps and client share here, less its exposure. Then five days of clocks that drift apart are
-simulated, and programs are started before their server, to see how they end.
+simulated, servers are frozen and killed, and programs are started before their server, to see how they end.
 """
 
 import argparse
+import os
+import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,14 +22,16 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from asterism.clients import PoseClient
+from asterism.clients import LinkState, PoseClient
 from asterism.clients.age import SessionAge
 from asterism.protocol.rig import load_rig
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.clients.proxy import Proxy
+from tests.clients.serving import until
 from tests.clients.test_age import DAY_S, Clocks
-from tests.clients.test_link import PROGRAM
+from tests.clients.test_link import FROZEN, PROGRAM
+from tests.helpers import REPOSITORY
 from tests.servers import free_endpoint, running
 
 STALL_S, PAUSE_S = 5.0, 3.0
@@ -140,6 +145,47 @@ def drifts(console: Console) -> None:
     console.print(table)
 
 
+def faults(console: Console, rounds: int) -> None:
+    """How soon a client says that its server is frozen, or gone, and how soon after that it has fresh poses again."""
+    times: dict[str, list[float]] = defaultdict(list)
+    endpoint = free_endpoint()
+    command = [sys.executable, "-c", FROZEN, endpoint]
+    with PoseClient(endpoint) as robots:
+        feed = robots["alpha"]
+        for _ in range(rounds):
+            server = subprocess.Popen(command, cwd=REPOSITORY)
+            until(lambda: feed.link.state is LinkState.LIVE)
+            for number, state, told in (
+                (signal.SIGSTOP, LinkState.SILENT, "frozen, told after"),
+                (signal.SIGCONT, LinkState.LIVE, "thawed, fresh pose after"),
+                (signal.SIGKILL, LinkState.GONE, "killed, told after"),
+            ):
+                start_s = time.monotonic()
+                os.kill(server.pid, number)
+                until(lambda state=state: feed.link.state is state)  # type: ignore[misc]
+                times[told].append(time.monotonic() - start_s)
+            server.wait()
+            server = subprocess.Popen(command, cwd=REPOSITORY)
+            until(lambda: is_alive_at(endpoint))
+            start_s = time.monotonic()
+            until(lambda: feed.link.state is LinkState.LIVE)
+            times["started again, fresh pose after"].append(time.monotonic() - start_s)
+            server.kill()
+            server.wait()
+            until(lambda: robots.link.state is LinkState.GONE)
+    table = Table("fault", "rounds", "median", "worst", box=box.SIMPLE)
+    for told, seconds in times.items():
+        table.add_row(told, str(len(seconds)), f"{np.median(seconds):.2f} s", f"{max(seconds):.2f} s")
+    console.print(table)
+
+
+def is_alive_at(endpoint: str) -> bool:
+    """Whether somebody listens there."""
+    host, port = endpoint.removeprefix("tcp/").split(":")
+    with socket.socket() as probe:
+        return probe.connect_ex((host, int(port))) == 0
+
+
 def endings(console: Console, programs: int) -> None:
     codes: Counter[str] = Counter()
     for first in range(0, programs, TOGETHER):
@@ -158,10 +204,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=20.0, help="for each link")
     parser.add_argument("--programs", type=int, default=40)
+    parser.add_argument("--rounds", type=int, default=20, help="of freezing and killing a server")
     options = parser.parse_args()
     console = Console(width=160)
     links(console, options.seconds)
     drifts(console)
+    faults(console, options.rounds)
     endings(console, options.programs)
 
 
