@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import zenoh
 
 EVERY_S = 10.0
-SOON_S = 0.3  # while a server has not answered
+SOON_S = 0.2  # while a server has not answered
 WANTED_S = 0.05  # while somebody waits for an answer
 TIMEOUT_S = 10.0
 MOST_WAITING = 3  # questions under way

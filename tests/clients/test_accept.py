@@ -17,7 +17,7 @@ from asterism.protocol.codec import decode_odometry, encode_odometry
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import RobotPose, Velocity
 from tests.clients.serving import COVARIANCE
-from tests.protocol.make_golden import ROBOT_POSE
+from tests.protocol.make_golden import ROBOT_POSE, SMOOTHED_POSE
 
 POSE = replace(ROBOT_POSE, covariance=COVARIANCE)
 MOVING = Velocity(np.array([0.1, 0.0, 0.0]), np.zeros(3), COVARIANCE, (1e-3, 1e-1))
@@ -30,6 +30,8 @@ def test_what_a_server_tells_is_taken() -> None:
         for leds in (4, 5, 6):
             assert problem(replace(POSE, state=state, leds=leds, velocity=MOVING), "alpha") is None
     assert problem(replace(POSE, published_ns=POSE.exposed_ns), "alpha") is None  # solved again
+    for golden in (ROBOT_POSE, SMOOTHED_POSE):
+        assert problem(decode_odometry(encode_odometry(golden)), "alpha") is None
 
 
 @pytest.mark.parametrize(

@@ -3,11 +3,16 @@
 import itertools
 import threading
 import time
+from dataclasses import replace
 
 import pytest
 
 from asterism.clients import LinkState, PoseClient
+from asterism.protocol import keys
+from asterism.protocol.codec import encode_odometry
 from asterism.protocol.errors import InputError
+from asterism.protocol.network import open_server
+from asterism.server.sources.session_clock import SessionClock
 from tests.clients.serving import COVARIANCE, Server, until
 from tests.protocol.make_golden import ROBOT_POSE
 
@@ -138,3 +143,23 @@ def test_all_robots_come_through_one_feed(endpoint: str, server: Server) -> None
         }
         assert {next(poses).robot, next(poses).robot} == {"alpha", "bravo"}
         assert robots.all() is everyone
+
+
+def test_a_publisher_that_answers_for_no_rig_is_aged_by_its_least_delay(endpoint: str) -> None:
+    # A stranger's program, or a server of version 0.1: no beat, no session, no clock.
+    stranger, clock = open_server(endpoint), SessionClock()
+    pose = replace(ROBOT_POSE, covariance=COVARIANCE, session=0)
+
+    def put(exposed_s: float, published_s: float) -> None:
+        now_ns = clock.now_ns() - 10 * 365 * 86_400 * 10**9  # its clock is ten years late
+        told = replace(pose, exposed_ns=now_ns - round(exposed_s * 1e9), published_ns=now_ns - round(published_s * 1e9))
+        stranger.put(keys.odometry("cam", "alpha"), encode_odometry(told))
+
+    with PoseClient(endpoint) as robots:
+        feed = robots["alpha"]
+        until(lambda: put(0.005, 0.001) or feed.latest(0.1))
+        # What went out three seconds ago, and comes only now, is old.
+        until(lambda: put(3.1, 3.0) or (feed.latest(60.0) and not feed.latest(2.9)))
+        assert feed.late > 0
+        until(lambda: put(0.005, 0.001) or feed.latest(0.1))
+    stranger.close()
