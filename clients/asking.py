@@ -41,7 +41,6 @@ class Asking:
         self._tries = 0
         self._slow = False  # the newest answer took long
         self._unanswered: dict[str, int] = {}
-        self._newer: set[str] = set()  # sentences said
 
     @property
     def waiting(self) -> bool:
@@ -91,16 +90,17 @@ class Asking:
             state.answers(decode_rig(reply.ok.payload.to_bytes()), question.asked_ns, now_ns)
         except InputError:
             state.tells_nothing()
-        if state.newer and state.newer not in self._newer:
-            self._newer.add(state.newer)
+        if state.is_newer and not state.newer_said:
+            state.newer_said = True
             _LOG.warning("%s", state.newer)
 
     def _count_unanswered(self, question: _Question) -> None:
+        before, self._unanswered = self._unanswered, {}
         for state in self._servers.all():
-            count = 0 if state.camera in question.answered else self._unanswered.get(state.camera, 0) + 1
-            self._unanswered[state.camera] = count
-            if count >= EMPTY and not state.answered:
-                state.tells_nothing()
+            if state.camera not in question.answered:
+                count = self._unanswered[state.camera] = before.get(state.camera, 0) + 1
+                if count >= EMPTY:
+                    state.tells_nothing()
 
 
 def _get(session: "zenoh.Session", selector: str) -> "zenoh.Handler[zenoh.Reply]":

@@ -29,6 +29,7 @@ class ServerState:
         self._wanted = wanted  # set where somebody waits for its clock
         self.points: dict[str, dict[str, Floats]] = {}  # by robot and name, (3,) m in the robot's frame
         self.protocol = 1
+        self.newer_said = False
         self._told = threading.Condition()  # notified when the server answered for a session
         self._ages: dict[int, SessionAge] = {}
         self._newest: int | None = None  # session of the newest answer
@@ -42,6 +43,8 @@ class ServerState:
     def shows(self, is_alive: bool, now_ns: int) -> None:
         """Its liveliness token came or went."""
         self._alive_since_ns, self._heard_ns, self._beat_yet = (now_ns if is_alive else None), None, False
+        if is_alive:  # perhaps another program, that tells other things
+            self._newest, self._alone = None, False
 
     def beats(self, beat: "pb.Beat", now_ns: int) -> None:
         """It told that it lives."""
@@ -52,8 +55,7 @@ class ServerState:
 
     def answers(self, report: "pb.RigReport", asked_ns: int, answered_ns: int) -> None:
         """It answered for its rig, and told its clock; one of protocol 1 tells none."""
-        points = {robot.id: {name: _vector(point) for name, point in robot.points.items()} for robot in report.robots}
-        self.points = {robot: carried for robot, carried in points.items() if carried}
+        self.points = {robot.id: _finite(robot) for robot in report.robots}
         self.protocol = max(report.protocol, 1)
         if not report.time_ns:
             self.tells_nothing()
@@ -67,9 +69,11 @@ class ServerState:
             self._told.notify_all()
 
     def tells_nothing(self) -> None:
-        """Nobody answers for this server, or it tells no clock: least delays must do."""
+        """Nobody answers for this server, or it tells no clock: least delays must do, unless it told one before."""
         with self._told:
-            self._newest, self._alone = None, True
+            if self.answered:
+                return
+            self._alone = True
             for age in self._ages.values():
                 age.alone = True
             self._answers += 1
@@ -142,15 +146,20 @@ class ServerState:
         return Link(LinkState.LIVE, f"{name}: the server is alive")
 
     @property
+    def is_newer(self) -> bool:
+        """Whether it speaks a newer protocol than this program knows."""
+        return self.protocol > PROTOCOL
+
+    @property
     def newer(self) -> str:
-        """A sentence where the server speaks a newer protocol than this program knows, else nothing."""
-        if self.protocol <= PROTOCOL:
-            return ""
+        """What a person is told of that."""
         return (
             f"camera {self.camera!r}: the server speaks protocol {self.protocol}, this program knows {PROTOCOL}; "
             "what is new in it is not understood: update asterism-localization here"
         )
 
 
-def _vector(point: "pb.Vector3") -> Floats:
-    return np.array([point.x, point.y, point.z])
+def _finite(robot: "pb.RigRobot") -> dict[str, Floats]:
+    """The points that a robot carries, if they are any."""
+    points = {name: np.array([point.x, point.y, point.z]) for name, point in robot.points.items()}
+    return {name: point for name, point in points.items() if np.isfinite(point).all()}

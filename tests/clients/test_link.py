@@ -11,8 +11,11 @@ import pytest
 from asterism.clients import LinkState, PoseClient
 from asterism.clients.server_state import ServerState
 from asterism.protocol import asterism_pb2 as pb
+from asterism.protocol.codec import to_bytes
+from asterism.protocol.network import open_server
 from tests.clients.serving import Server, until
 from tests.helpers import REPOSITORY
+from tests.servers import free_endpoint
 
 
 def test_no_pose_and_a_newer_server_are_told(endpoint: str, server: Server, caplog: pytest.LogCaptureFixture) -> None:
@@ -25,10 +28,21 @@ def test_no_pose_and_a_newer_server_are_told(endpoint: str, server: Server, capl
         until(lambda: feed.link.state is LinkState.NO_POSE)
         assert "robot 'alpha': no pose for " in feed.link.sentence
     state = ServerState("cam", threading.Event())
-    state.answers(pb.RigReport(protocol=3, session=5, time_ns=10**18, rate=1.0), 0, 1000)
-    assert "speaks protocol 3, this program knows 2" in state.newer
     state.answers(pb.RigReport(protocol=2, session=5, time_ns=10**18, rate=1.0), 0, 1000)
-    assert state.newer == ""
+    assert not state.is_newer
+    # Of a server that speaks a newer protocol one sentence is logged, however often it answers.
+    rig = pb.RigReport(protocol=3, session=5, time_ns=10**18, rate=1.0)
+    newer = open_server(other := free_endpoint())
+    queryable = newer.declare_queryable(
+        "asterism/new/rig", lambda query: query.reply("asterism/new/rig", to_bytes(rig))
+    )
+    with PoseClient(other) as robots:
+        until(lambda: robots.links)
+        until(lambda: caplog.messages)
+    queryable.undeclare()
+    newer.close()
+    (told,) = caplog.messages
+    assert told.startswith("camera 'new': the server speaks protocol 3, this program knows 2; ")
 
 
 FROZEN = """
