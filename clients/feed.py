@@ -20,6 +20,8 @@ from asterism.protocol.messages import RobotPose
 MOST = 1024  # pairs of camera and robot that are remembered
 LOG_EVERY_S = 1.0
 KNOWN_WITHIN_S = 0.3  # a pose waits so long for its server to tell its clock, once a session
+LONG_NS = 50_000_000  # of callbacks
+IDLE_NS = 2_000_000  # between two poses: none waited
 _FIELDS = tuple(field.name for field in fields(RobotPose))
 _LOG = logging.getLogger(__name__)
 
@@ -42,6 +44,8 @@ class Feed:
         self.refused = 0  # messages that were no poses
         self.late = 0  # poses that arrived more than 0.3 s after they went out
         self._said_s = -math.inf
+        self._free_ns = 0  # when the last pose was done with
+        self._behind = False  # a callback took long: poses wait for it, not on their way
 
     def wait(self, timeout_s: float) -> ReceivedPose | None:
         """The next pose that arrives, or None after that time."""
@@ -112,9 +116,13 @@ class Feed:
             self._changed.notify_all()
         self._wakers.call(None)
         self._callbacks.call(pose)
+        self._free_ns = clock_ns()
+        self._behind = self._behind or self._free_ns - pose.received_ns > LONG_NS
 
     def _accepted(self, payload: bytes, robot: str, server: ServerState) -> ReceivedPose:
         now_ns = clock_ns()
+        if now_ns - self._free_ns > IDLE_NS:
+            self._behind = False
         pose = decode_odometry(payload)
         if told := problem(pose, robot):
             raise InputError(f"the pose {told}")
@@ -124,10 +132,10 @@ class Feed:
             clock.waited = True
         if server.answered and not clock.known:
             raise InputError("the pose is of a session that its server does not know")
-        late_s = server.arrived(clock, pose.published_ns, now_ns)
+        late_s = server.arrived(clock, pose.published_ns, now_ns, self._behind)
         if late_s < -FUTURE_S:
             raise InputError(f"the pose was published {-late_s:.1f} s from now")
-        self.late += late_s > LATE_S
+        self.late += late_s > LATE_S and not self._behind
         points = server.points.get(robot, {})
         return ReceivedPose(
             **{name: getattr(pose, name) for name in _FIELDS},

@@ -116,8 +116,11 @@ class ServerState:
             self._told.wait_for(lambda: self._age(session).known or self._answers >= enough, timeout_s)
             return self._age(session)
 
-    def arrived(self, age: SessionAge, published_ns: int, now_ns: int) -> float:
-        """A message arrived: by how many s later than it went out; nan where that cannot be known."""
+    def arrived(self, age: SessionAge, published_ns: int, now_ns: int, waited: bool = False) -> float:
+        """A message arrived: by how many s later than it went out; nan where that cannot be known.
+
+        ``waited``: perhaps it came earlier and waited for this program, which says nothing of the link.
+        """
         self._heard_ns = now_ns
         time_ns = age.time_ns(now_ns)
         if time_ns is None or (published_ns - time_ns) * 1e-9 <= FUTURE_S * age.rate:
@@ -126,7 +129,7 @@ class ServerState:
         if time_ns is None:
             return math.nan
         late_s = (time_ns - published_ns) * 1e-9 / age.rate
-        if late_s > LATE_S:
+        if late_s > LATE_S and not waited:
             self._late = (now_ns, late_s)
         return late_s
 

@@ -2,12 +2,13 @@
 
 import itertools
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
 
-from asterism.clients import LinkState, PoseClient
+from asterism.clients import LinkState, PoseClient, ReceivedPose
 from tests.clients.proxy import Proxy
 from tests.clients.serving import Server, until
 
@@ -84,6 +85,20 @@ def test_a_link_too_slow_gives_nothing_stale_and_is_told(
         until(lambda: caplog.messages)
     assert watching.oldest_s < 0.11
     assert "the link is too slow, what the server sends arrives" in caplog.messages[0]
+
+
+def test_a_callback_that_takes_long_is_not_the_links_fault(endpoint: str, server: Server) -> None:
+    ages: list[float] = []
+
+    def dawdle(pose: ReceivedPose) -> None:
+        ages.append(pose.age_s)
+        time.sleep(0.1)
+
+    with PoseClient(endpoint) as robots, telling(server, ("alpha",)):
+        robots["alpha"].on_pose(dawdle)
+        until(lambda: ages and ages[-1] > 0.5)
+        assert robots["alpha"].late == 0
+        assert robots.link.state is LinkState.LIVE
 
 
 def test_a_server_on_another_clock_and_one_that_comes_back(endpoint: str) -> None:
