@@ -4,6 +4,7 @@ Every sub-message is set, even where it is zero: rerun's importer refuses an uns
 equal values have equal bytes.
 """
 
+import math
 from dataclasses import replace
 from typing import TypeVar
 
@@ -23,11 +24,13 @@ from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.camera import Camera
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose
-from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, PROTOCOL, STATUS, Message, RobotPose
+from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, PROTOCOL, STATUS, Message, RobotPose, Velocity
 from asterism.protocol.rig import Rig
 
 SECOND_NS = 1_000_000_000
 _PUBLISHED = "published_ns"
+_ACCELERATIONS = ("acceleration", "turn_acceleration")
+_UNIT = 1e-3  # a quaternion may be off unit length by so much
 
 M = TypeVar("M", bound=Protobuf)
 
@@ -80,7 +83,35 @@ def encode_odometry(told: RobotPose) -> bytes:
         message.metadata.add(key="filter", value=told.smoothed_by)
     if told.extrapolated:
         message.metadata.add(key="extrapolated", value="true")
+    if told.velocity is not None:
+        _set_velocity(message, told.velocity)
     return to_bytes(message) + (_odometry_stamp(told.published_ns) if told.published_ns else b"")
+
+
+def _set_velocity(message: Odometry, velocity: Velocity) -> None:
+    for vector, values in (
+        (message.linear_velocity, velocity.linear),
+        (message.angular_velocity, velocity.angular),
+    ):
+        vector.x, vector.y, vector.z = values.tolist()
+        vector.SetInParent()
+    message.velocity_covariance.extend(velocity.covariance.ravel().tolist())
+    for key, value in zip(_ACCELERATIONS, velocity.accelerations, strict=True):
+        message.metadata.add(key=key, value=f"{value:.5g}")
+
+
+def _velocity(message: Odometry, metadata: dict[str, str]) -> Velocity | None:
+    """The velocity in a message, or None where it has none. Raises ValueError for half of one."""
+    if not message.velocity_covariance:
+        return None
+    v, w = message.linear_velocity, message.angular_velocity
+    linear, angular = (float(metadata.get(key, "0")) for key in _ACCELERATIONS)
+    return Velocity(
+        np.array([v.x, v.y, v.z]),
+        np.array([w.x, w.y, w.z]),
+        np.array(message.velocity_covariance).reshape(6, 6),
+        (linear, angular),
+    )
 
 
 def _odometry_stamp(published_ns: int) -> bytes:
@@ -118,12 +149,18 @@ def stamped(message: Message, published_ns: int) -> Message:
 
 
 def decode_odometry(payload: bytes) -> RobotPose:
-    """The RobotPose in a foxglove.Odometry. Raises InputError for bytes that are none, or not Asterism's."""
+    """The RobotPose in a foxglove.Odometry. Raises InputError for bytes that are none, or not Asterism's.
+
+    Numbers may be any that a message can hold: who drives by them looks first (`clients.accept`).
+    """
     message = Odometry()
     try:
         message.ParseFromString(payload)
         metadata = {pair.key: pair.value for pair in message.metadata}
         p, q = message.pose.position, message.pose.orientation
+        length = math.hypot(q.x, q.y, q.z, q.w)
+        if not abs(length - 1.0) <= _UNIT:
+            raise ValueError(f"a quaternion of length {length:.3g}")
         return RobotPose(
             robot=message.body_frame_id,
             frame_id=message.frame_id,
@@ -138,8 +175,9 @@ def decode_odometry(payload: bytes) -> RobotPose:
             session=int(metadata.get("session", "0")),
             smoothed_by=metadata.get("filter", ""),
             extrapolated=metadata.get("extrapolated") == "true",
+            velocity=_velocity(message, metadata),
         )
-    except (DecodeError, KeyError, ValueError, AssertionError) as error:
+    except (DecodeError, KeyError, ValueError) as error:
         raise InputError(f"odometry message: {len(payload)} bytes that are no pose of Asterism ({error})") from None
 
 

@@ -6,6 +6,7 @@ from asterism.protocol.codec import encode_odometry, set_report_pose, set_vector
 from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message, RobotPose
 from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame, FrameResult
+from asterism.server.chain.smooth import SmoothedPose
 from asterism.server.pose.solve import PoseEstimate
 
 
@@ -32,6 +33,7 @@ def report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int) -> list[
                 session=frame.session,
                 smoothed_by=answer.smoothed_by,
                 extrapolated=answer.extrapolated,
+                velocity=answer.velocity if isinstance(answer, SmoothedPose) else None,
             )
             key = keys.odometry(rig.camera.name, robot_id)
             messages.append(Message(key, ODOMETRY, encode_odometry(told), result.exposed_ns, 0, result.index))

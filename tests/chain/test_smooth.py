@@ -9,7 +9,7 @@ from asterism.protocol.geometry import Floats, Pose, angle_between, exp_rotation
 from asterism.protocol.rig import load_rig
 from asterism.server import Frame, FrameResult, PoseEstimate, Tracks, localize
 from asterism.server.chain.report import frame_report, report
-from asterism.server.chain.smooth import FILTER, Motion, Motions, estimate, follow, smooth
+from asterism.server.chain.smooth import FILTER, Motion, Motions, estimate, follow, smooth, velocity
 from asterism.server.command.locate import line
 from asterism.server.pose.solve import Lost
 from asterism.server.simulation.demo_rig import DEMO_RIG
@@ -147,6 +147,7 @@ def test_only_what_was_asked_to_be_smoothed_is_changed_and_it_is_labelled(
         for message in messages[:-1]:
             pose = decode_odometry(message.payload)
             assert pose.smoothed_by == FILTER
+            assert pose.velocity is not None
             assert decode_odometry(encode_odometry(pose)).smoothed_by == FILTER
         assert len(messages) == len(before)
 
@@ -176,3 +177,26 @@ def test_the_same_three_arguments_give_the_same_bytes(demo_film: list[tuple[Fram
             payloads += [message.payload for message in report(frame, smoothed, RIG, 2)]
         told.append(payloads)
     assert told[0] == told[1]
+
+
+def test_velocities_are_in_the_robots_frame_and_as_sure_as_they_say(rng: np.random.Generator) -> None:
+    weighted, speed = [], 0.05
+    for _ in range(6):
+        half = SIGMAS[:, None] * np.linalg.qr(rng.standard_normal((6, 6)))[0] * rng.uniform(0.3, 1.5, 6)
+        covariance, start = half @ half.T, random_rotation(rng)
+        motion: Motion | None = None
+        for k in range(150):
+            time_s = k * STEP_NS * 1e-9
+            true = path(speed, time_s, start)
+            motion = follow(motion, 1 + k * STEP_NS, measured(rng, true, covariance), covariance)
+            if k < 60:
+                continue
+            told = velocity(motion)
+            after, before = path(speed, time_s + 1e-4, start), path(speed, time_s - 1e-4, start)
+            linear = true.rotation.T @ (after.position - before.position) / 2e-4
+            angular = true.rotation.T @ log_rotation(after.rotation @ before.rotation.T) / 2e-4
+            error = np.concatenate([told.linear - linear, told.angular - angular])
+            weighted.append(error @ np.linalg.solve(told.covariance, error))
+            assert (np.linalg.eigvalsh(told.covariance) > 0.0).all()
+    # Accelerations that come in bursts are less likely in the filter's mind than on this path.
+    assert 2.0 < np.mean(weighted) < 12.0

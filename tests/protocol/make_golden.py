@@ -4,6 +4,8 @@ Run it only when the wire format changes on purpose; what changed shows in the J
 earlier versions (golden/1) are never made again: today's code must read them.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from google.protobuf.json_format import MessageToJson
 from google.protobuf.message import Message
@@ -19,7 +21,7 @@ from asterism.protocol.codec import (
     to_bytes,
 )
 from asterism.protocol.geometry import Pose
-from asterism.protocol.messages import PROTOCOL, RobotPose
+from asterism.protocol.messages import PROTOCOL, RobotPose, Velocity
 from asterism.protocol.rig import Rig, Robot
 from tests.helpers import REPOSITORY
 
@@ -27,11 +29,13 @@ GOLDEN = REPOSITORY / "protocol" / "golden" / str(PROTOCOL)
 SESSION = 1_234_567_890_123_456_789
 EXPOSED_NS = 1_795_398_896_123_456_789
 
+_COUNTED = np.arange(36.0).reshape(6, 6)
+
 ROBOT_POSE = RobotPose(
     robot="alpha",
     frame_id="world",
     pose=Pose(np.array([0.125, -0.25, 1.5]), np.array([0.5, -0.5, 0.5, 0.5])),
-    covariance=np.arange(36.0).reshape(6, 6) / 1024,
+    covariance=(_COUNTED + _COUNTED.T) / 4096 + np.diag([0.125, 0.25, 0.25, 0.5, 0.5, 0.5]),
     state="TILT_AMBIGUOUS",
     leds=5,
     rms_px=0.0125,
@@ -39,6 +43,16 @@ ROBOT_POSE = RobotPose(
     exposed_ns=EXPOSED_NS,
     published_ns=EXPOSED_NS + 3_000_000,
     session=SESSION,
+)
+
+SMOOTHED_POSE = replace(
+    ROBOT_POSE,
+    state="TRACKED",
+    leds=6,
+    smoothed_by="interacting multiple model, constant velocity",
+    velocity=Velocity(
+        np.array([0.125, -0.0625, 0.0]), np.array([0.0, 0.25, -0.5]), ROBOT_POSE.covariance / 16, (0.001, 0.25)
+    ),
 )
 
 CAMERA = Camera(
@@ -146,6 +160,7 @@ def golden() -> dict[str, tuple[bytes, type[Message]]]:
     transforms = [("world", "alpha", ROBOT_POSE.pose), ("alpha", "alpha/tool", Pose.identity())]
     return {
         "odometry": (encode_odometry(ROBOT_POSE), Odometry),
+        "odometry_smoothed": (encode_odometry(SMOOTHED_POSE), Odometry),
         "frame_report": (to_bytes(frame_report()), pb.FrameReport),
         "status": (to_bytes(status()), pb.Status),
         "beat": (to_bytes(beat()), pb.Beat),

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.json_format import Parse
@@ -73,6 +74,22 @@ def test_odometry_round_trip() -> None:
     np.testing.assert_array_equal(back.covariance, told.covariance)
     for name in ("robot", "frame_id", "state", "leds", "rms_px", "sequence", "exposed_ns", "published_ns", "session"):
         assert getattr(back, name) == getattr(told, name), name
+
+
+def test_a_velocity_round_trips_and_half_of_one_is_refused() -> None:
+    told = make_golden.SMOOTHED_POSE.velocity
+    back = decode_odometry(encode_odometry(make_golden.SMOOTHED_POSE)).velocity
+    assert told is not None
+    assert back is not None
+    for name in ("linear", "angular", "covariance"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(told, name))
+    assert back.accelerations == told.accelerations
+    assert decode_odometry(encode_odometry(make_golden.ROBOT_POSE)).velocity is None
+    half = Odometry()
+    half.ParseFromString(encode_odometry(make_golden.SMOOTHED_POSE))
+    del half.velocity_covariance[30:]
+    with pytest.raises(InputError, match="no pose of Asterism"):
+        decode_odometry(half.SerializeToString())
 
 
 @pytest.mark.parametrize(
