@@ -82,7 +82,7 @@ def cut_off(parent: Path, camera: str) -> list[Path]:
         with contextlib.suppress(OSError):
             file = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
             try:
-                if _told(file).get("camera") == camera and _is_free(file):
+                if not path.parent.is_symlink() and _told(file).get("camera") == camera and _is_free(file):
                     found.append(path.parent)
             finally:
                 os.close(file)

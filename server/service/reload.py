@@ -46,6 +46,7 @@ class Reloader:
         # The one way to wake a thread that a handler may use while it interrupts another of the kind.
         self._asked: queue.SimpleQueue[float | None] = queue.SimpleQueue()
         self._outcomes: deque[Outcome] = deque()
+        self._closed = False
         self._thread = threading.Thread(target=self._run, name="reload", daemon=True)
         self._thread.start()
 
@@ -58,12 +59,13 @@ class Reloader:
         return self._outcomes.popleft() if self._outcomes else None
 
     def close(self) -> None:
-        """Read no more."""
+        """Read no more, also where it was asked for."""
+        self._closed = True
         self._asked.put(None)
         self._thread.join(timeout=1.0)
 
     def _run(self) -> None:
-        while (asked_s := self._asked.get()) is not None:
+        while (asked_s := self._asked.get()) is not None and not self._closed:
             self._systemd.reloading()
             try:
                 outcome = Outcome(self._prepare(), "", asked_s)

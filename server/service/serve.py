@@ -124,11 +124,11 @@ class Run:
             stack.callback(feed.close)
             if isinstance(source, Camera):
                 stack.callback(source.close)
-            if self.reloader is not None:
-                stack.callback(self.reloader.close)
             stack.callback(self._count, feed)
             stack.callback(Ticker(lambda: self._tick(feed), STATUS_EVERY_S).close)
             stack.callback(self._systemd.stopping)
+            if self.reloader is not None:
+                stack.callback(self.reloader.close)
             self._systemd.ready()
             self._loop(feed, smoothed)
 

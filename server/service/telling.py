@@ -101,19 +101,28 @@ def telling() -> Iterator[Telling]:
     """For one command: say on the terminal, until `Telling.choose` says otherwise."""
     told = Telling()
     told.choose(quiet=False, verbose=False, log=None)
-    before = sys.stderr
-    # None: it was closed before we were started.
-    lasting = Lasting(before or os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
-    sys.stderr = cast(TextIO, lasting)
     logging.captureWarnings(True)
-    for logger in (LOGGER, WARNINGS):
-        logger.addHandler(_TERMINAL)
-    try:
-        yield told
-    finally:
-        told.close()
+    with _lasting_stderr():
         for logger in (LOGGER, WARNINGS):
-            logger.removeHandler(_TERMINAL)
-        logging.captureWarnings(False)
-        lasting.finish()
-        sys.stderr = before
+            logger.addHandler(_TERMINAL)
+        try:
+            yield told
+        finally:
+            told.close()
+            for logger in (LOGGER, WARNINGS):
+                logger.removeHandler(_TERMINAL)
+            logging.captureWarnings(False)
+
+
+@contextlib.contextmanager
+def _lasting_stderr() -> Iterator[None]:
+    """An error channel that may be lost, or was closed before we were started."""
+    before = sys.stderr
+    with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
+        lasting = Lasting(before or nowhere)
+        sys.stderr = cast(TextIO, lasting)
+        try:
+            yield
+        finally:
+            lasting.finish()
+            sys.stderr = before

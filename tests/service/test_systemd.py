@@ -12,12 +12,12 @@ import pytest
 from numpy.typing import NDArray
 
 from asterism.protocol.rig import load_rig
-from asterism.server.service.publish import Publisher
 from asterism.server.service.serve import Outlets, Run, Stop
 from asterism.server.service.systemd import OFTENER, Systemd
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.sources.camera import Camera
 from tests.helpers import REPOSITORY
+from tests.service.nobody import Nobody
 
 TIMEOUT_S = 20.0
 UNIT = REPOSITORY / "docs" / "asterism.service"
@@ -111,19 +111,6 @@ class Device:
 
     def close(self) -> None:
         """Nothing to let go of."""
-
-
-class Nobody(Publisher):
-    """A publisher without a network."""
-
-    def __init__(self) -> None:
-        self.rig_payload = b""
-
-    def publish(self, messages, session=None):  # type: ignore[no-untyped-def]
-        return list(messages)
-
-    def show_visible(self, robots: object) -> None:
-        """Nobody looks."""
 
 
 def test_the_watchdog_hears_nothing_while_the_camera_hangs_and_something_while_it_is_away(
