@@ -72,8 +72,14 @@ class Stop:
 
 @contextmanager
 def stop_on_signals(stop: Stop) -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM end the run cleanly."""
-    before = {number: signal.signal(number, lambda *_: stop.interrupt()) for number in (signal.SIGINT, signal.SIGTERM)}
+    """Let Ctrl-C, SIGTERM and a terminal that closes end the run cleanly, however often they come.
+
+    SIGHUP stays ignored where it is: somebody wanted the program to outlive its terminal.
+    """
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    before = {number: signal.signal(number, lambda *_: stop.interrupt()) for number in numbers}
     try:
         yield
     finally:

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -51,19 +52,22 @@ def test_a_terminal_that_closes_does_not_end_it(tmp_path: Path) -> None:
     assert "Traceback" not in log.read_text()
 
 
-def wait_for(true: "object") -> None:
+def wait_for(true: Callable[[], object]) -> None:
     end = time.monotonic() + TIMEOUT_S
-    while not true():  # type: ignore[operator]
+    while not true():
         assert time.monotonic() < end
         time.sleep(0.02)
 
 
 def test_a_start_after_kill_9_recovers_what_nobody_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with running("serve", DEMO_RIG, "sim", "--listen", free_endpoint(), "--record", tmp_path) as killed:
-        wait_for_line(killed, "GB an hour")  # said when it has run for some seconds
+        wait_for_line(killed, "recording to")
+        cut = next(tmp_path.glob("demo-*"))
+        wait_for(
+            lambda: all(any(file.stat().st_size for file in cut.glob(f"{stem}-*")) for stem in ("poses", "frames"))
+        )
         killed.kill()
         killed.wait()
-    cut = next(tmp_path.glob("demo-*"))
     # Others of the folder: of a server that lives, of another camera, and what a process left that was no recording.
     for name in ("demo-living", "other-1", "demo-empty"):
         (tmp_path / name).mkdir()
