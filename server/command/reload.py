@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = "asterism reload\nasterism reload CAMERA\n"
 
-ANSWER_S = 2.0  # a server that does not answer for so long is dead
+ANSWER_S = 5.0  # a server that does not answer for so long, on however busy a machine, is dead
 DONE_S = 300.0  # another estimator's kernels may have to be compiled
 
 
