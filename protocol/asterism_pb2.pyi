@@ -277,8 +277,16 @@ class RigRobot(_message.Message):
     points: _containers.MessageMap[str, Vector3]
     def __init__(self, id: _Optional[str] = ..., leds: _Optional[_Iterable[_Union[Vector3, _Mapping]]] = ..., axis: _Optional[_Union[Vector3, _Mapping]] = ..., points: _Optional[_Mapping[str, Vector3]] = ...) -> None: ...
 
+class Reloads(_message.Message):
+    __slots__ = ("count", "problem")
+    COUNT_FIELD_NUMBER: _ClassVar[int]
+    PROBLEM_FIELD_NUMBER: _ClassVar[int]
+    count: int
+    problem: str
+    def __init__(self, count: _Optional[int] = ..., problem: _Optional[str] = ...) -> None: ...
+
 class RigReport(_message.Message):
-    __slots__ = ("camera", "frame_id", "width", "height", "camera_matrix", "distortion_model", "distortion", "world_camera", "robots", "rig_yaml", "camera_yaml", "offset_yaml", "host", "pid", "session", "started_ns", "time_ns", "rate", "version", "protocol")
+    __slots__ = ("camera", "frame_id", "width", "height", "camera_matrix", "distortion_model", "distortion", "world_camera", "robots", "rig_yaml", "camera_yaml", "offset_yaml", "host", "pid", "session", "started_ns", "time_ns", "rate", "version", "reloads", "protocol")
     class OffsetYamlEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -305,6 +313,7 @@ class RigReport(_message.Message):
     TIME_NS_FIELD_NUMBER: _ClassVar[int]
     RATE_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
+    RELOADS_FIELD_NUMBER: _ClassVar[int]
     PROTOCOL_FIELD_NUMBER: _ClassVar[int]
     camera: str
     frame_id: str
@@ -325,5 +334,6 @@ class RigReport(_message.Message):
     time_ns: int
     rate: float
     version: str
+    reloads: Reloads
     protocol: int
-    def __init__(self, camera: _Optional[str] = ..., frame_id: _Optional[str] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., camera_matrix: _Optional[_Iterable[float]] = ..., distortion_model: _Optional[str] = ..., distortion: _Optional[_Iterable[float]] = ..., world_camera: _Optional[_Union[Pose, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RigRobot, _Mapping]]] = ..., rig_yaml: _Optional[str] = ..., camera_yaml: _Optional[str] = ..., offset_yaml: _Optional[_Mapping[str, str]] = ..., host: _Optional[str] = ..., pid: _Optional[int] = ..., session: _Optional[int] = ..., started_ns: _Optional[int] = ..., time_ns: _Optional[int] = ..., rate: _Optional[float] = ..., version: _Optional[str] = ..., protocol: _Optional[int] = ...) -> None: ...
+    def __init__(self, camera: _Optional[str] = ..., frame_id: _Optional[str] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., camera_matrix: _Optional[_Iterable[float]] = ..., distortion_model: _Optional[str] = ..., distortion: _Optional[_Iterable[float]] = ..., world_camera: _Optional[_Union[Pose, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RigRobot, _Mapping]]] = ..., rig_yaml: _Optional[str] = ..., camera_yaml: _Optional[str] = ..., offset_yaml: _Optional[_Mapping[str, str]] = ..., host: _Optional[str] = ..., pid: _Optional[int] = ..., session: _Optional[int] = ..., started_ns: _Optional[int] = ..., time_ns: _Optional[int] = ..., rate: _Optional[float] = ..., version: _Optional[str] = ..., reloads: _Optional[_Union[Reloads, _Mapping]] = ..., protocol: _Optional[int] = ...) -> None: ...

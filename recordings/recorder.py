@@ -33,6 +33,7 @@ from asterism.protocol.errors import WorldError
 from asterism.protocol.geometry import Pose
 from asterism.protocol.messages import ANNOTATIONS, CALIBRATION, FRAME_REPORT, IMAGE, TRANSFORMS, Message
 from asterism.protocol.rig import Rig
+from asterism.recordings.held import Hold, hold
 from asterism.recordings.series import OFFSET_KEY, Series
 
 POSES_SPLIT_BYTES = 512 << 20
@@ -49,6 +50,7 @@ class _Item:
     image: NDArray[np.uint8] | None
     time_ns: int
     sequence: int
+    rig: Rig | None = None  # in force then
 
 
 class Recorder:
@@ -64,24 +66,21 @@ class Recorder:
         self.frames_left_out = 0
         self.messages_left_out = 0
         self.problem = ""  # why the recording ended early, a sentence
-        self._rig = rig
+        self._rig = rig  # of the files that are being written
+        self._taken = rig  # of what is given to be written
         self._frames_every = frames_every
         self._wait = wait
-        metadata = {
-            "version": __version__,
-            "camera": rig.camera.name,
-            "frame_id": rig.parent_frame,
-            "source": source,
-            "started": started.isoformat(),
-            "rig.yaml": rig.rig_text,
-            "camera.yaml": rig.camera_text,
-            **{f"{OFFSET_KEY}{name}": text for name, text in rig.offset_texts.items()},
-        }
+        self._run_metadata = {"version": __version__, "source": source, "started": started.isoformat()}
+        metadata = self._run_metadata | _rig_metadata(rig)
         try:
             with (self.folder / RESERVE).open("wb") as reserve:
                 os.posix_fallocate(reserve.fileno(), 0, RESERVE_BYTES)
         except OSError as error:
             raise WorldError(f"{self.folder}: cannot be recorded to ({error.strerror})") from None
+        # Where a disk knows no locks, nothing is recovered by itself either.
+        self._hold: Hold | None = None
+        with contextlib.suppress(OSError):
+            self._hold = hold(self.folder, rig.camera.name)
         self._poses = Series(
             self.folder, "poses", CompressionType.ZSTD, POSES_SPLIT_BYTES, metadata, self._first_messages
         )
@@ -102,6 +101,10 @@ class Recorder:
         except OSError:
             return 0
 
+    def take_rig(self, rig: Rig) -> None:
+        """Another rig is in force for everything that is written from now on: it begins new files."""
+        self._taken = rig
+
     def write(self, messages: Sequence[Message], image: NDArray[np.uint8] | None, time_ns: int, sequence: int) -> None:
         """Record messages and, if it is its turn, the image they came from."""
         if self.problem:
@@ -111,14 +114,14 @@ class Recorder:
         if image is not None and (self._frames_every == 0 or sequence % self._frames_every):
             image = None
         if self._wait:
-            self._queue.put(_Item(messages, image, time_ns, sequence))
+            self._queue.put(_Item(messages, image, time_ns, sequence, self._taken))
             return
         # Images are what takes long: leave them out while there is still room for poses.
         if image is not None and self._queue.qsize() > QUEUE // 2:
             image = None
             self.frames_left_out += 1
         try:
-            self._queue.put_nowait(_Item(messages, image, time_ns, sequence))
+            self._queue.put_nowait(_Item(messages, image, time_ns, sequence, self._taken))
         except queue.Full:
             self.messages_left_out += len(messages)
 
@@ -131,6 +134,8 @@ class Recorder:
         }
         self._queue.put(None)
         self._thread.join()
+        if self._hold is not None:
+            self._hold.release()
 
     def _run(self) -> None:
         flushed = time.monotonic()
@@ -162,6 +167,10 @@ class Recorder:
                     return
 
     def _record(self, item: _Item) -> None:
+        if item.rig is not None and item.rig is not self._rig:
+            self._rig = item.rig
+            for series in (self._poses, self._frames):
+                series.begin_anew(self._run_metadata | _rig_metadata(item.rig))
         for message in item.messages:
             self._poses.add(message)
             if message.kind is FRAME_REPORT:
@@ -209,6 +218,17 @@ class Recorder:
             Message(keys.TRANSFORMS, TRANSFORMS, encode_transforms(message.log_ns, transforms), *times),
             Message(keys.annotations(self._rig.camera.name), ANNOTATIONS, annotations, *times),
         ]
+
+
+def _rig_metadata(rig: Rig) -> dict[str, str]:
+    """What every file tells of the rig in force."""
+    return {
+        "camera": rig.camera.name,
+        "frame_id": rig.parent_frame,
+        "rig.yaml": rig.rig_text,
+        "camera.yaml": rig.camera_text,
+        **{f"{OFFSET_KEY}{name}": text for name, text in rig.offset_texts.items()},
+    }
 
 
 def _new_folder(parent: Path, name: str) -> Path:

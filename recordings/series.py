@@ -101,6 +101,12 @@ class Series:
         assert self._output is not None
         self._output.push()
 
+    def begin_anew(self, metadata: dict[str, str]) -> None:
+        """Let the next message begin a new file, with that metadata. Raises OSError like `add`."""
+        self._metadata = metadata
+        if self._writer is not None:
+            self._finish()
+
     def flush(self) -> None:
         """Bring everything added so far to the file. Raises OSError like `add`."""
         if self._writer is not None and self._output is not None:

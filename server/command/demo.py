@@ -48,10 +48,10 @@ def run(options: argparse.Namespace) -> int:
     console = Console()
     clock, stop = SessionClock(), Stop()
     place = Place(options.listen, options.connect, options.zenoh)
-    with ExitStack() as stack:
+    with ExitStack() as last, ExitStack() as stack:
         air = stack.enter_context(on_air(place, rig, clock, stop.interrupt))
         warm_up(*localizing(rig, "sim"))
-        stack.enter_context(stop_on_signals(stop))
+        last.enter_context(stop_on_signals(stop))
         source = Simulated(rig, look=LOOK)
         table, drawn = RobotTable(), threading.Event()
         stack.callback(table.subscribe(air.session).clear)

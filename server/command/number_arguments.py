@@ -35,6 +35,14 @@ def count(text: str) -> int:
     return value
 
 
+def port(text: str) -> int:
+    """A port to listen on."""
+    value = count(text)
+    if value > 65_535:
+        raise argparse.ArgumentTypeError(f"{text!r}, expected a port, 1 to 65535")
+    return value
+
+
 def whole(text: str) -> int:
     """A whole number, 0 or more."""
     value = _digits(text)

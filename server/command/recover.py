@@ -3,6 +3,7 @@
 import argparse
 
 from asterism.protocol.errors import InputError, WorldError
+from asterism.recordings.held import held_for_recovery
 from asterism.recordings.index import begins_as_mcap, is_complete, rebuild_index
 from asterism.recordings.reader import recording_files
 from asterism.recordings.recorder import RESERVE
@@ -17,7 +18,12 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Recover what is cut off; what is whole is left alone."""
+    """Recover what is cut off; what is whole is left alone, what another process writes is refused."""
+    with held_for_recovery(options.recording):
+        return _recover(options)
+
+
+def _recover(options: argparse.Namespace) -> int:
     poses, frames = recording_files(options.recording)
     for file in poses + frames:
         if not begins_as_mcap(file):

@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
                 f"{options.recording}: holds no frames; record with --record-frames all to solve them again"
             )
     stop = Stop()
-    with ExitStack() as stack:
+    with ExitStack() as last, ExitStack() as stack:
         prefix = "" if options.as_live else keys.REPLAY
         clock, place = PlayClock(options.speed), Place(options.listen, options.connect, options.zenoh)
         air = stack.enter_context(on_air(place, rig, clock, stop.interrupt, prefix))
@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
             from asterism.server.chain.warm_up import localizing, warm_up
 
             warm_up(*localizing(rig))
-        stack.enter_context(stop_on_signals(stop))
+        last.enter_context(stop_on_signals(stop))
         say(f"replaying {options.recording} at {place} under {prefix}asterism/{rig.camera.name}")
         prefixed = ["--prefix", prefix] if prefix else []
         say(f"watch it in another terminal: {typed('watch', *prefixed, *client_words(options))}")

@@ -1,23 +1,30 @@
 """asterism serve: localize what a source shows, publish it, record it."""
 
 import argparse
+from collections.abc import Callable
 from contextlib import ExitStack
+from typing import TYPE_CHECKING
 
 from asterism.protocol.errors import InputError
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.recorder import Recorder
 from asterism.server.chain.warm_up import localizing, warm_up
-from asterism.server.command.number_arguments import count, positive
+from asterism.server.command.number_arguments import count, port, positive
 from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing, named
 from asterism.server.output import check_folder_of_many
 from asterism.server.service.live_line import LiveLine
 from asterism.server.service.on_air import Place, on_air
+from asterism.server.service.recovery import Recovery
+from asterism.server.service.reload import reload_on_hangup
 from asterism.server.service.say import say, say_warnings
 from asterism.server.service.serve import Outlets, Run, Sink, Stop, stop_on_signals
 from asterism.server.sources.camera import clock_of
 from asterism.server.sources.open_source import open_source
 from asterism.server.sources.source import Source
+
+if TYPE_CHECKING:
+    from asterism.server.service.metrics import Collector
 
 EXAMPLES = (
     "asterism serve rig.yaml /dev/video0 --record recordings\n"
@@ -38,6 +45,9 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
         type=_every,
         default=1,
         help="every frame, every Nth, none (default: all)",
+    )
+    part.add_argument(
+        "--metrics", metavar="PORT", type=port, help="health for Prometheus at http://127.0.0.1:PORT/metrics"
     )
     part.add_argument("--rerun", action="store_true", help="show everything in the rerun viewer while it happens")
     add_smoothing(part)
@@ -61,19 +71,29 @@ def run(options: argparse.Namespace) -> int:
     if source.live and options.rate is not None:
         raise InputError("--rate is for images and videos; a camera's rate stands in the rig (capture.rate)")
     clock, stop = clock_of(source), Stop()
-    with ExitStack() as stack:
+    with ExitStack() as last, ExitStack() as stack:
+        collector = _metrics(options, rig, stack)
         air = stack.enter_context(on_air(place, rig, clock, stop.interrupt))
         warm_up(*localizing(rig, options.source))
-        stack.enter_context(stop_on_signals(stop))
+        last.enter_context(stop_on_signals(stop))  # until all is closed: a second Ctrl-C changes nothing
         sinks: tuple[Sink, ...] = ()
+        rig_takers: tuple[Callable[[Rig], None], ...] = ()
         if options.rerun:
             from asterism.server.service.live_view import LiveView
 
-            sinks = (stack.enter_context(LiveView(rig)).write,)
+            view = stack.enter_context(LiveView(rig))
+            sinks, rig_takers = (view.write,), (view.take_rig,)
         robots = f"{len(rig.robots)} robot{'s' * (len(rig.robots) > 1)}"
         say(f"serving {robots} of camera '{rig.camera.name}' from {source.name} at {place}")
         recorder = _recorder(options, rig, source)
-        served = Run(rig, source, Outlets(air.publisher, recorder, sinks), stop, clock)
+        if recorder is not None:
+            rig_takers = (*rig_takers, recorder.take_rig)
+            sinks = (*sinks, stack.enter_context(Recovery(options.record, rig.camera.name, say)).begin)
+        served = Run(rig, source, Outlets(air.publisher, recorder, sinks, rig_takers), stop, clock, options.rig)
+        if served.reloader is not None:
+            last.enter_context(reload_on_hangup(served.reloader))
+        if collector is not None:
+            collector.run = served
         try:
             with LiveLine(served.now):
                 served.serve(options.rate, options.smooth)
@@ -82,14 +102,23 @@ def run(options: argparse.Namespace) -> int:
                 recorder.close(served.ending())
                 say(f"recorded in {recorder.folder}; look at it with")
                 say(f"  {typed('review', recorder.folder)}")
-    for line in served.summary():
-        say(line)
+        for line in served.summary():
+            say(line)
     if air.rivals.sentence:
         raise InputError(air.rivals.sentence)
     if recorder is not None and recorder.problem:
         say(recorder.problem)
         return 1
     return 0
+
+
+def _metrics(options: argparse.Namespace, rig: Rig, stack: ExitStack) -> "Collector | None":
+    """Listening from now on, so that a port which is taken is said before anything is begun."""
+    if options.metrics is None:
+        return None
+    from asterism.server.service.metrics import metrics
+
+    return stack.enter_context(metrics(rig.camera.name, options.metrics))
 
 
 def _recorder(options: argparse.Namespace, rig: Rig, source: Source) -> Recorder | None:

@@ -35,7 +35,8 @@ class Publisher:
     """Publishes messages, answers for the rig, shows who is alive. A context manager.
 
     ``prefix`` goes before every key (replay uses it, so that no robot drives by yesterday's poses); ``rig_payload``
-    is the encoded rig report; ``clock`` stamps what is published. Several threads may publish, each its own keys.
+    is the encoded rig report, and may be changed; ``clock`` stamps what is published. Several threads may publish, each
+    its own keys.
     """
 
     def __init__(self, session: zenoh.Session, camera: str, rig_payload: bytes, clock: Clock, prefix: str = "") -> None:
@@ -43,14 +44,16 @@ class Publisher:
         self._camera = camera
         self._prefix = prefix
         self._clock = clock
-        self._beats = 0
+        self.rig_payload = rig_payload
+        self.beats = 0
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._visible: dict[str, zenoh.LivelinessToken] = {}
 
         keys_rig = prefix + keys.rig(camera)
 
         def answer(query: zenoh.Query) -> None:
-            query.reply(keys_rig, rig_payload + _who_answers(clock), encoding=zenoh.Encoding(RIG_REPORT.encoding))
+            payload = self.rig_payload + _who_answers(clock)
+            query.reply(keys_rig, payload, encoding=zenoh.Encoding(RIG_REPORT.encoding))
 
         self._queryable = session.declare_queryable(keys_rig, answer)
         self._alive = session.liveliness().declare_token(prefix + keys.alive(camera))
@@ -95,18 +98,18 @@ class Publisher:
 
     def _beat(self) -> None:
         """Tell that the server lives, and its clock."""
-        clock, self._beats = self._clock, self._beats + 1
+        clock, self.beats = self._clock, self.beats + 1
         session = clock.session
         now_ns, monotonic_ns = clock.now_ns(session), clock.monotonic_ns()
         told = pb.Beat(
             session=session,
-            sequence=self._beats,
+            sequence=self.beats,
             time_ns=now_ns,
             monotonic_ns=monotonic_ns,
             rate=clock.rate,
             started_ns=clock.started_ns,
         )
-        self.put(Message(keys.beat(self._camera), BEAT, to_bytes(told), now_ns, now_ns, self._beats))
+        self.put(Message(keys.beat(self._camera), BEAT, to_bytes(told), now_ns, now_ns, self.beats))
 
     def show_visible(self, robots: Iterable[str]) -> None:
         """Hold a liveliness token for exactly these robots."""
