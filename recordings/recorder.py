@@ -4,7 +4,6 @@ The queue is bounded. A source that can wait waits for room; a live camera never
 then whole messages, and both are counted. When the disk is full the recording ends, readable, and the rest goes on.
 """
 
-import contextlib
 import os
 import queue
 import shutil
@@ -16,7 +15,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from mcap.writer import CompressionType
 from numpy.typing import NDArray
 
 from asterism import __version__
@@ -33,7 +31,8 @@ from asterism.protocol.errors import WorldError
 from asterism.protocol.geometry import Pose
 from asterism.protocol.messages import ANNOTATIONS, CALIBRATION, FRAME_REPORT, IMAGE, TRANSFORMS, Message
 from asterism.protocol.rig import Rig
-from asterism.recordings.series import OFFSET_KEY, Series
+from asterism.recordings.series import Series
+from asterism.recordings.told import OFFSET_KEY
 
 POSES_SPLIT_BYTES = 512 << 20
 FRAMES_SPLIT_BYTES = 2 << 30
@@ -82,10 +81,8 @@ class Recorder:
                 os.posix_fallocate(reserve.fileno(), 0, RESERVE_BYTES)
         except OSError as error:
             raise WorldError(f"{self.folder}: cannot be recorded to ({error.strerror})") from None
-        self._poses = Series(
-            self.folder, "poses", CompressionType.ZSTD, POSES_SPLIT_BYTES, metadata, self._first_messages
-        )
-        self._frames = Series(self.folder, "frames", CompressionType.LZ4, FRAMES_SPLIT_BYTES, metadata, list)
+        self._poses = Series(self.folder, "poses", "zstd", POSES_SPLIT_BYTES, metadata, self._first_messages)
+        self._frames = Series(self.folder, "frames", "lz4", FRAMES_SPLIT_BYTES, metadata, list)
         self._queue: queue.Queue[_Item | None] = queue.Queue(QUEUE)
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
@@ -177,8 +174,7 @@ class Recorder:
         self.problem = f"{self.folder}: the recording ended early ({error.strerror})"
         (self.folder / RESERVE).unlink(missing_ok=True)
         for series in (self._poses, self._frames):
-            with contextlib.suppress(OSError):
-                series.abandon()
+            series.abandon()
 
     def _first_messages(self) -> list[Message]:
         """What every poses file begins with: the calibration, and where the camera stands."""

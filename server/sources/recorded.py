@@ -24,8 +24,7 @@ class RecordedFrames:
         self.length: int | None = self._recording.count_frames()
         if not self.length:
             raise InputError(f"{path}: holds no frames; record with --record-frames all to solve them again")
-        span = self._recording.frames_span_ns()
-        self.rate_hz = (self.length - 1) * 1e9 / span if span > 0 else DEFAULT_RATE_HZ
+        self.rate_hz = self._recording.frame_rate_hz() or DEFAULT_RATE_HZ
 
     def frames(self) -> Iterator[Frame]:
         """Raises InputError for frames of another size than the calibration's."""
