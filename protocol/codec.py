@@ -28,6 +28,7 @@ from asterism.protocol.rig import Rig
 
 SECOND_NS = 1_000_000_000
 _PUBLISHED = "published_ns"
+_DATA_TAG = bytes([RawImage.DATA_FIELD_NUMBER << 3 | 2])  # a field of bytes
 
 M = TypeVar("M", bound=Protobuf)
 
@@ -251,17 +252,29 @@ def encode_calibration(time_ns: int, camera: Camera) -> bytes:
 
 def encode_image(time_ns: int, camera: Camera, image: NDArray[np.uint8]) -> bytes:
     """foxglove.RawImage of an (h, w) grey image."""
+    return b"".join(image_parts(time_ns, camera, image))
+
+
+def image_parts(time_ns: int, camera: Camera, image: NDArray[np.uint8]) -> tuple[bytes, memoryview]:
+    """The same in two pieces, the second of which is the image's own memory: nothing of it is copied.
+
+    Its field comes last, which protobuf allows.
+    """
     height, width = image.shape
     message = RawImage(
-        timestamp=_timestamp(time_ns),
-        frame_id=camera.name,
-        width=width,
-        height=height,
-        encoding="mono8",
-        step=width,
-        data=image.tobytes(),
+        timestamp=_timestamp(time_ns), frame_id=camera.name, width=width, height=height, encoding="mono8", step=width
     )
-    return to_bytes(message)
+    pixels = memoryview(np.ascontiguousarray(image).reshape(-1))  # type: ignore[arg-type]
+    return to_bytes(message) + _DATA_TAG + _varint(len(pixels)), pixels
+
+
+def _varint(number: int) -> bytes:
+    """Protobuf's variable-length number."""
+    coded = bytearray()
+    while number > 0x7F:
+        coded.append(number & 0x7F | 0x80)
+        number >>= 7
+    return bytes([*coded, number])
 
 
 def decode_image(payload: bytes) -> NDArray[np.uint8]:

@@ -62,6 +62,21 @@ class Chunk:
         """Whether head and record tell the same length."""
         return self.packed == len(self.data)
 
+    @property
+    def is_checked(self) -> bool:
+        """Whether a check sum tells what is damaged: MCAP's, or zstd's own."""
+        if self.crc or self.compression != "zstd":
+            return bool(self.crc)
+        try:
+            return bool(zstandard.get_frame_parameters(self.data).has_checksum)
+        except zstandard.ZstdError:
+            return False
+
+    @property
+    def print(self) -> tuple[int, int]:
+        """Tells it from others: a check sum of its data and their length."""
+        return zlib.crc32(self.data), len(self.data)
+
     def unpack(self, size: int | None = None) -> Buffer:
         """Its records' bytes; ``size`` where the head is not to be believed. Raises Damaged: check sum, compression."""
         believed = self.size if size is None else size

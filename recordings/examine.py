@@ -94,13 +94,11 @@ def _described(part: Part) -> Unpacked:
 
 def _repeated(part: Part, seen: set[tuple[int, ...]]) -> bool:
     chunk, unpacked = part.chunk, part.unpacked
-    if chunk is None or unpacked is None or not chunk.crc or not unpacked.messages:
+    if chunk is None or unpacked is None or not unpacked.messages:
         return False
-    first = unpacked.messages[0]
-    key = (chunk.crc, first.log_ns, first.sequence, len(unpacked.messages))
-    if key in seen:
+    if chunk.print in seen:
         return True
-    seen.add(key)
+    seen.add(chunk.print)
     return False
 
 

@@ -21,6 +21,7 @@ from asterism.protocol.schemas import descriptor_set
 from asterism.recordings.chunks import Unpacked
 from asterism.recordings.decodable import channel_of, is_decodable
 from asterism.recordings.examine import Examined, examine, whole_chunks
+from asterism.recordings.packing import Packing
 from asterism.recordings.records import Told
 from asterism.recordings.told import METADATA
 from asterism.recordings.walk import opened
@@ -151,7 +152,7 @@ class _Copy:
 
     def __init__(self, found: Examined, new: Path, texts: dict[str, dict[str, str]]) -> None:
         chunks = Counter(chunk.compression for chunk in found.contents.chunks)
-        self._writer = Writer(new, chunks.most_common(1)[0][0] if chunks else "zstd")
+        self._writer = Writer(new, Packing(chunks.most_common(1)[0][0] if chunks else "zstd"))
         self._found = found
         self._texts = texts
         self._camera = texts.get(METADATA, {}).get("camera", "")

@@ -4,11 +4,14 @@ import contextlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from asterism.protocol.messages import Kind, Message
+from asterism.protocol.messages import ANNOTATIONS, CALIBRATION, TRANSFORMS, Kind, Message
 from asterism.protocol.schemas import descriptor_set
+from asterism.recordings.packing import Packing
 from asterism.recordings.records import Buffer
 from asterism.recordings.told import METADATA, with_check_sum
 from asterism.recordings.writer import Writer
+
+VIEWERS = frozenset(kind.schema for kind in (ANNOTATIONS, CALIBRATION, TRANSFORMS))  # made of what was published
 
 
 class Series:
@@ -22,35 +25,39 @@ class Series:
         self,
         folder: Path,
         stem: str,
-        compression: str,
+        packing: Packing,
         split_bytes: int,
         metadata: dict[str, str],
         begin: Callable[[], list[Message]],
     ) -> None:
         self._folder = folder
         self._stem = stem
-        self._compression = compression
+        self._packing = packing
         self._split_bytes = split_bytes
         self._metadata = with_check_sum(metadata)
         self._begin = begin
         self._number = 0
         self._writer: Writer | None = None
         self._path = folder
-        self._began_with = 0
-        self.finished: list[tuple[Path, int]] = []  # files that are whole, and their bytes
+        self._open = 0  # messages that were added to the file in work, but for those that are for viewers
+        self._unfinished: list[tuple[Path, Writer]] = []  # whose index found no room
+        self.finished: list[tuple[Path, int, int]] = []  # files that are whole, their bytes and messages
 
     @property
     def bytes_written(self) -> int:
         """How much all files hold by now."""
         current = self._writer.bytes_written if self._writer is not None else 0
-        return sum(size for _, size in self.finished) + current
+        return sum(size for _, size, _ in self.finished) + current
 
     def add(self, message: Message, payload: Sequence[Buffer] | None = None) -> None:
         """Append a message; ``payload`` in pieces instead of its own. Raises OSError when the disk does not take it;
         call `abandon` then.
         """
+        counts = message.kind.schema not in VIEWERS
+        self._open += counts
         if self._writer is None or self._writer.bytes_written >= self._split_bytes:
             self._next_file(message.log_ns)
+            self._open = int(counts)
         self._append(message, payload if payload is not None else [message.payload])
 
     def flush(self) -> None:
@@ -60,6 +67,7 @@ class Series:
 
     def close(self, ending: dict[str, str]) -> None:
         """Finish the current file, with ``ending`` as its last metadata. Raises OSError like `add`."""
+        self._finish_late()
         if self._writer is not None:
             self._writer.metadata("asterism/end", ending)
             self._finish()
@@ -67,40 +75,57 @@ class Series:
     def abandon(self) -> int:
         """Leave the file readable after a write failed, and begin a new one with the next message.
 
-        Returns how many messages that were added are lost. Never raises.
+        Returns how many messages that were added are lost, but for those that are for viewers. Never raises.
         """
         writer, self._writer = self._writer, None
+        lost, self._open = self._open, 0
         if writer is None:
-            return 0
-        # What a file begins with is nothing that was added.
-        lost = writer.dropped - (0 if writer.contents.messages else self._began_with)
-        with contextlib.suppress(OSError):
-            if writer.contents.messages:
-                writer.finish()
-                self.finished.append((self._path, writer.bytes_written))
-            else:
-                writer.close()
+            return lost
+        contents = writer.contents
+        for number, count in contents.counts.items():
+            schema = contents.schemas[contents.channels[number].schema_id].name
+            lost -= count if schema not in VIEWERS else 0
+        if contents.messages:
+            self._unfinished.append((self._path, writer))
+            self._finish_late()
+        else:
+            writer.close()
+            with contextlib.suppress(OSError):
                 self._path.unlink()
         return lost
+
+    def _finish_late(self) -> None:
+        """Write the index that found no room, if there is some now."""
+        with contextlib.suppress(OSError):
+            while self._unfinished:
+                path, writer = self._unfinished[0]
+                writer.finish()
+                del self._unfinished[0]
+                self.finished.append((path, writer.bytes_written, writer.contents.messages))
+
+    def delete_oldest(self) -> int:
+        """Delete the oldest finished file; returns how many messages it held."""
+        path, _, messages = self.finished.pop(0)
+        path.unlink(missing_ok=True)
+        return messages
 
     def _finish(self) -> None:
         assert self._writer is not None
         # Once more, should the beginning be damaged.
         self._writer.metadata(METADATA, self._metadata)
         self._writer.finish()
-        self.finished.append((self._path, self._writer.bytes_written))
-        self._writer = None
+        self.finished.append((self._path, self._writer.bytes_written, self._writer.contents.messages))
+        self._writer, self._open = None, 0
 
     def _next_file(self, time_ns: int) -> None:
+        self._finish_late()
         if self._writer is not None:
             self._finish()
         self._number += 1
         self._path = self._folder / f"{self._stem}-{self._number:04d}.mcap"
-        self._writer = Writer(self._path, self._compression)
+        self._writer = Writer(self._path, self._packing)
         self._writer.metadata(METADATA, self._metadata)
-        begin = self._begin()
-        self._began_with = len(begin)
-        for message in begin:
+        for message in self._begin():
             first = Message(message.key, message.kind, message.payload, time_ns, time_ns, message.sequence)
             self._append(first, [message.payload])
 

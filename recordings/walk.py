@@ -155,7 +155,7 @@ class _Walk:
             body = memoryview(self._read(at + HEAD.size, body_bytes))
             try:
                 chunk = Chunk(body)
-                if not chunk.crc or self._tries < 0:
+                if not chunk.is_checked or self._tries < 0:
                     continue
                 self._tries -= len(body) + min(chunk.size, MOST_BYTES)
                 unpacked = chunk.read(MOST_BYTES)

@@ -8,25 +8,23 @@ import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import lz4.frame
-import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Header, MessageIndex, Metadata, MetadataIndex, Schema
 
 from asterism import __version__
+from asterism.recordings.packing import Packing
 from asterism.recordings.records import HEAD, MAGIC, MESSAGE_HEAD, Buffer
 from asterism.recordings.summary import Contents
 
 LIBRARY = f"asterism {__version__}"
 CHUNK_BYTES = 1 << 20
-ZSTD_LEVEL = 1
 _CHUNK_HEAD_BYTES = 8 + 8 + 8 + 4 + 4 + 8  # and the compression's name
 _MOST_AT_ONCE = 512  # buffers of one write; POSIX allows 1024
 
 
 class Output:
-    """An unbuffered file that knows where its last whole records end. ``fresh``: refuse one that is there."""
+    """An unbuffered file that knows where its last whole records end."""
 
     def __init__(self, path: Path) -> None:
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
@@ -45,6 +43,7 @@ class Output:
                     left[0] = left[0][done:]
         except OSError:
             os.ftruncate(self._file, self.whole)
+            os.lseek(self._file, self.whole, os.SEEK_SET)
             raise
         self.whole += total
 
@@ -60,14 +59,14 @@ class Output:
 class Writer:
     """Writes messages into a new file. Not for several threads at once.
 
-    ``compression`` is "", "lz4" or "zstd". Every method that writes raises OSError where the disk does not take it:
-    the file is then as it was before, and may be finished, without the messages that `dropped` counts.
+    Every method that writes raises OSError where the disk does not take it:
+    the file is then as it was before, and may be finished, without the messages that are in no chunk yet.
     """
 
-    def __init__(self, path: Path, compression: str) -> None:
+    def __init__(self, path: Path, packing: Packing) -> None:
         self.contents = Contents()
-        self._compression = compression
-        self._pack = _packer(compression)
+        self._packing = packing
+        self._pack = packing.packer()
         self._output = Output(path)
         self._numbers: dict[str, int] = {}  # of channels, by topic
         self._begin_chunk()
@@ -79,11 +78,6 @@ class Writer:
     def bytes_written(self) -> int:
         """How much is on the disk by now."""
         return self._output.whole
-
-    @property
-    def dropped(self) -> int:
-        """Messages that are in no chunk on the disk yet."""
-        return sum(len(index) for index in self._index.values())
 
     def channel(self, topic: str, schema: Callable[[], tuple[str, str, bytes]], metadata: dict[str, str]) -> int:
         """The number of a topic's channel; ``schema`` gives name, encoding and data where it is a new one."""
@@ -135,7 +129,7 @@ class Writer:
             ChunkIndex(
                 chunk_start_offset=start,
                 chunk_length=len(head) + sum(map(len, data)),
-                compression=self._compression,
+                compression=self._packing.compression,
                 compressed_size=sum(map(len, data)),
                 uncompressed_size=self._bytes,
                 message_start_time=min(times),
@@ -149,12 +143,13 @@ class Writer:
         self._begin_chunk()
 
     def finish(self) -> None:
-        """Write the summary of what is on the disk, and close; what is not yet there is left out."""
+        """Write the summary of what is on the disk, and close; what is not yet there is left out.
+
+        Where the disk does not take it, it can be tried again.
+        """
         self._drop_undescribed()
-        try:
-            self._output.write([self.contents.ending(self._output.whole)])
-        finally:
-            self._output.close()
+        self._output.write([self.contents.ending(self._output.whole)])
+        self._output.close()
 
     def sync(self) -> None:
         """Bring the file to the disk itself."""
@@ -200,18 +195,18 @@ class Writer:
     def _chunk(self) -> tuple[bytes, list[Buffer]]:
         """A chunk's record up to its data, and the data."""
         crc = 0
-        for part in self._parts:
+        for part in self._parts if self._packing.crc else ():
             crc = zlib.crc32(part, crc)
         data = self._pack(self._parts)
         times = [time_ns for index in self._index.values() for time_ns, _ in index]
-        name, packed = self._compression.encode(), sum(map(len, data))
+        name, packed = self._packing.compression.encode(), sum(map(len, data))
         head = RecordBuilder()
         head.write(HEAD.pack(Opcode.CHUNK, _CHUNK_HEAD_BYTES + len(name) + packed))
         head.write8(min(times))
         head.write8(max(times))
         head.write8(self._bytes)
         head.write4(crc)
-        head.write_prefixed_string(self._compression)
+        head.write_prefixed_string(self._packing.compression)
         head.write8(packed)
         return head.end(), data
 
@@ -222,16 +217,3 @@ class Writer:
             offsets[channel] = at + records.count
             MessageIndex(channel_id=channel, records=index).write(records)
         return records.end(), offsets
-
-
-def _packer(compression: str) -> Callable[[Sequence[Buffer]], list[Buffer]]:
-    if compression == "zstd":
-        zstd = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
-        return lambda parts: [zstd.compress(_joined(parts))]
-    if compression == "lz4":
-        return lambda parts: [lz4.frame.compress(_joined(parts))]
-    return list
-
-
-def _joined(parts: Sequence[Buffer]) -> Buffer:
-    return parts[0] if len(parts) == 1 else b"".join(parts)

@@ -4,7 +4,7 @@ import argparse
 
 from asterism.recordings.mend import mend
 from asterism.recordings.reader import recording_files
-from asterism.recordings.recorder import RESERVE
+from asterism.recordings.room import RESERVE
 from asterism.server.command.shared_arguments import add_recording
 
 EXAMPLES = "asterism recover RECORDING\n"

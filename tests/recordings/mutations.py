@@ -21,6 +21,7 @@ from asterism.protocol.messages import FRAME_REPORT, IMAGE, ODOMETRY, Message, R
 from asterism.protocol.rig import Rig, load_rig
 from asterism.protocol.schemas import descriptor_set
 from asterism.recordings.chunks import Chunk
+from asterism.recordings.packing import Packing
 from asterism.recordings.records import HEAD, MAGIC, records_in
 from asterism.recordings.series import Series
 from asterism.server.simulation.demo_rig import DEMO_RIG
@@ -73,9 +74,11 @@ def metadata() -> dict[str, str]:
     return {"camera": one.camera.name, "rig.yaml": one.rig_text, "camera.yaml": one.camera_text, "protocol": "2"}
 
 
-def write_file(folder: Path, stem: str, messages: list[Message], compression: str, a_chunk: int) -> None:
+def write_file(
+    folder: Path, stem: str, messages: list[Message], compression: str, a_chunk: int, crc: bool = True
+) -> None:
     """<folder>/<stem>-0001.mcap, with so many messages a chunk."""
-    series = Series(folder, stem, compression, 1 << 40, metadata(), list)
+    series = Series(folder, stem, Packing(compression, crc), 1 << 40, metadata(), list)
     for number, message in enumerate(messages):
         series.add(message)
         if number % a_chunk == a_chunk - 1:
@@ -318,7 +321,9 @@ def recordings(folder: Path, told: list[Message], images: list[Message]) -> dict
             place.mkdir()
             for stem, messages, a_chunk in (("poses", told, 9), ("frames", images, 3)):
                 if name.startswith("new"):
-                    write_file(place, stem, messages, compression, a_chunk)
+                    write_file(
+                        place, stem, messages, compression, a_chunk, crc=compression != "zstd" or stem == "poses"
+                    )
                 else:
                     write_old(place / f"{stem}-0001.mcap", messages, compression, a_chunk)
     return made

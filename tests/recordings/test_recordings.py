@@ -1,7 +1,5 @@
 """Recordings: every byte back, split, cut off anywhere, on a full disk, refused when they are none."""
 
-import errno
-import os
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +12,11 @@ from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.geometry import Pose
 from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message
 from asterism.protocol.rig import load_rig, parse_rig
-from asterism.recordings import writer
 from asterism.recordings.compare import compare
 from asterism.recordings.mend import mend
+from asterism.recordings.packing import ZSTD_AND_CRC
 from asterism.recordings.reader import Recording
-from asterism.recordings.recorder import RESERVE, Recorder
+from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.recordings.series import Series
 from asterism.server import Frame, Tracks, localize
 from asterism.server.chain.report import report
@@ -54,7 +52,7 @@ Made = list[tuple[Frame, list[Message]]]
 
 
 def record(parent: Path, frames: Made, every: int = 1) -> Recorder:
-    recorder = Recorder(parent, RIG, "test", every, wait=True)
+    recorder = Recorder(parent, RIG, "test", FramesKept(every), wait=True)
     for frame, messages in frames:
         recorder.write(messages, frame.image, frame.exposed_ns, frame.index)
     recorder.close({"frames": str(len(frames))})
@@ -77,7 +75,7 @@ def test_the_files_that_the_rig_names_are_kept(tmp_path: Path, frames: Made) -> 
     text = DEMO_RIG.read_text().replace("led: {", "led: {offset: glass/led.yaml, ", 1)
     offset = "axial_shift: [-0.002, 0.0003]\nup_to_deg: 50\n"
     rig = parse_rig(text, RIG.camera_text, "demo", {"glass/led.yaml": offset})
-    recorder = Recorder(tmp_path, rig, "test", 1, wait=True)
+    recorder = Recorder(tmp_path, rig, "test", FramesKept(), wait=True)
     frame, messages = frames[0]
     recorder.write(messages, frame.image, frame.exposed_ns, frame.index)
     recorder.close({})
@@ -217,40 +215,10 @@ def test_a_damaged_chunk_in_the_middle_costs_only_itself(whole: Path) -> None:
     assert len(list(Recording(whole).frames())) == FRAMES - 1
 
 
-@pytest.mark.parametrize("room", [3_000_000, 1_200_000, 300_000])
-def test_on_a_full_disk_the_recording_ends_readable(
-    tmp_path: Path, frames: Made, monkeypatch: pytest.MonkeyPatch, room: int
-) -> None:
-    """A disk with little room: writes fail once it is used up, as the kernel does it, in the middle of a write."""
-    left = room
-    real_write = os.write
-
-    def writev(file: int, parts: list[memoryview]) -> int:
-        nonlocal left
-        if left <= 0:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        done = real_write(file, parts[0][:left])
-        left -= done
-        return done
-
-    monkeypatch.setattr(writer.os, "writev", writev)
-    monkeypatch.setattr("asterism.recordings.recorder.FLUSH_S", 0.0)
-    recorder = record(tmp_path, frames)
-    assert "the recording ended early (No space left on device)" in recorder.problem
-    assert not (recorder.folder / RESERVE).exists()
-    recording = Recording(recorder.folder)
-    on_wire = [message for message in recording.messages() if message.kind.on_wire]
-    told = [message for _, messages in frames for message in messages]
-    assert on_wire == told[: len(on_wire)]
-    for image, _, index in recording.frames():
-        np.testing.assert_array_equal(image, frames[index][0].image)
-    assert recorder.messages_left_out + recorder.frames_left_out > 0
-
-
 def test_a_folder_that_cannot_be_made_is_the_worlds_fault(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(WorldError, match="cannot be made"):
-        Recorder(tmp_path / "file", RIG, "test", 1, wait=True)
+        Recorder(tmp_path / "file", RIG, "test", FramesKept(), wait=True)
 
 
 def test_a_live_camera_never_waits_for_the_recorder(
@@ -265,7 +233,7 @@ def test_a_live_camera_never_waits_for_the_recorder(
         real(self, item)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Recorder, "_record", slow)
-    recorder = Recorder(tmp_path, RIG, "test", 1, wait=False)
+    recorder = Recorder(tmp_path, RIG, "test", FramesKept(), wait=False)
     frame, messages = frames[0]
     for _ in range(200):
         recorder.write(messages, frame.image, frame.exposed_ns, frame.index)
@@ -326,7 +294,7 @@ def test_comparing_finds_what_differs(tmp_path: Path, frames: Made) -> None:
 
 
 def test_a_series_registers_each_schema_once(tmp_path: Path, frames: Made) -> None:
-    out = Series(tmp_path, "poses", "zstd", 1 << 30, {"version": "x"}, list)
+    out = Series(tmp_path, "poses", ZSTD_AND_CRC, 1 << 30, {"version": "x"}, list)
     for message in frames[0][1]:
         out.add(message)
     out.close({})
