@@ -149,7 +149,8 @@ class _Walk:
         if len(head) < SIGNATURE_BYTES + 8:
             raise damage
         outer = HEAD.unpack_from(head)[1]
-        for body_bytes in {outer, self._told_by_chunk(head)}:
+        # The smaller first: what is behind a packed chunk goes unnoticed when that is read.
+        for body_bytes in sorted({outer, self._told_by_chunk(head)}):
             if not 0 < body_bytes <= min(MOST_BYTES + SIGNATURE_BYTES, self._size - at - HEAD.size):
                 continue
             body = memoryview(self._read(at + HEAD.size, body_bytes))
