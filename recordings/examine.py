@@ -230,9 +230,12 @@ class _Examination:
             contents.counts[message.channel] += 1
             found.spans.append((message.log_ns, message.log_ns))
         elif part.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            found.fault("channels outside of chunks")
             self._describe(_described(part))
         elif part.opcode not in (Opcode.HEADER, Opcode.ATTACHMENT):
             found.fault("an index before the end of the data")
+        if (part.opcode == Opcode.HEADER) != (part.offset == len(MAGIC)):
+            found.fault("it does not begin as an MCAP file")
 
     def _behind(self, part: Part) -> None:
         if part.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):

@@ -29,7 +29,7 @@ from asterism.recordings.room import Room
 from asterism.recordings.series import Series
 from asterism.recordings.spots import Spot, SpotWindows
 from asterism.recordings.told import OFFSET_KEY
-from asterism.recordings.viewers import first_messages, for_viewers
+from asterism.recordings.viewers import Viewers, first_messages
 
 POSES_SPLIT_BYTES = 512 << 20
 FRAMES_SPLIT_BYTES = 2 << 30
@@ -74,6 +74,7 @@ class Recorder:
         self._behind, self._lost = [0, 0], [0, 0]  # frames and messages, left out by `write` and by the disk
         self._rig = rig
         self._kept = kept
+        self._viewers = Viewers(rig)
         self._wait = wait
         self._limit = limit_bytes
         self._room = Room(self.folder)
@@ -157,7 +158,7 @@ class Recorder:
                     self._poses.add(message)
                     if message.kind is FRAME_REPORT:
                         report = decode_frame_report(message.payload)
-                        for extra in for_viewers(self._rig, message, report):
+                        for extra in self._viewers.messages(message, report):
                             self._poses.add(extra)
             except OSError as error:
                 self._lost[1] += len(item.messages) - added

@@ -27,8 +27,9 @@ LIGHT_TIMES, LIGHT_PX = 2.0, 9.0  # half a window's side: so many radii of a spo
 OTHER_TIMES, OTHER_PX = 6.0, 8.0  # of one that was rejected, which may be long or ragged
 LARGEST_PX = 200.0  # of a lamp no more is kept
 EVEN = 6.0  # grey levels between tiles, up to which each has its own level: no threshold is lower
-REFRESH = 60  # frames
-CHANGED = 0.6  # grey levels of the mean, from which on the light has changed
+REFRESH = 600  # frames
+CHANGED, CHANGED_MUCH = 0.6, 4.0  # grey levels of the mean, from which on the light has changed; so much at once
+LEAST_AGE = 60  # frames, unless it has changed much: lamps flicker
 
 Image = NDArray[np.uint8]
 
@@ -66,7 +67,8 @@ class SpotWindows:
         """What is kept of an (h, w) image with these spots; valid until the next call."""
         mean = float(image[min(TILE_PX, image.shape[0]) // 2 :: TILE_PX, :: STEP_PX * STEP_PX].mean())
         self._age += 1
-        if self._age > REFRESH or abs(mean - self._mean) > CHANGED:
+        change = abs(mean - self._mean)
+        if self._age > REFRESH or change > CHANGED_MUCH or (change > CHANGED and self._age > LEAST_AGE):
             self._age, self._mean = 0, mean
             _draw(image, self._plain, self._ys, self._xs)
             self._out[:] = self._plain

@@ -22,18 +22,26 @@ def first_messages(rig: Rig) -> list[Message]:
     return first
 
 
-def for_viewers(rig: Rig, message: Message, report: "pb.FrameReport") -> list[Message]:
-    """Transforms and annotations of a frame report, which ``message`` carried."""
-    transforms: list[tuple[str, str, Pose]] = []
-    for robot in report.robots:
-        if not robot.HasField("pose"):
-            continue
-        transforms.append((report.frame_id, robot.id, report_pose(robot.pose)))
-        for name, point in rig.robot(robot.id).points.items():
-            transforms.append((robot.id, f"{robot.id}/{name}", Pose(point, _UPRIGHT)))
-    times = (message.log_ns, message.publish_ns, message.sequence)
-    annotations = encode_annotations(message.log_ns, report)
-    return [
-        Message(keys.TRANSFORMS, TRANSFORMS, encode_transforms(message.log_ns, transforms), *times),
-        Message(keys.annotations(rig.camera.name), ANNOTATIONS, annotations, *times),
-    ]
+class Viewers:
+    """Makes the transforms and annotations of the frame reports of one rig."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._annotations = keys.annotations(rig.camera.name)
+        self._points = {
+            robot.id: [(robot.id, f"{robot.id}/{name}", Pose(point, _UPRIGHT)) for name, point in robot.points.items()]
+            for robot in rig.robots
+        }
+
+    def messages(self, message: Message, report: "pb.FrameReport") -> list[Message]:
+        """Of a frame report, which ``message`` carried."""
+        transforms: list[tuple[str, str, Pose]] = []
+        for robot in report.robots:
+            if robot.HasField("pose"):
+                transforms.append((report.frame_id, robot.id, report_pose(robot.pose)))
+                transforms += self._points.get(robot.id, ())
+        times = (message.log_ns, message.publish_ns, message.sequence)
+        annotations = encode_annotations(message.log_ns, report)
+        return [
+            Message(keys.TRANSFORMS, TRANSFORMS, encode_transforms(message.log_ns, transforms), *times),
+            Message(self._annotations, ANNOTATIONS, annotations, *times),
+        ]

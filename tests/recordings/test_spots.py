@@ -38,6 +38,16 @@ def record(folder: Path, rig: Rig, images: list[NDArray[np.uint8]]) -> list[dict
     return answers
 
 
+def off_sigmas(was: PoseEstimate, now: PoseEstimate) -> float:
+    """The largest difference of a component of a pose, in its sigma."""
+    turned = now.pose.rotation @ was.pose.rotation.T
+    turn = 0.5 * np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
+    off = np.concatenate([now.pose.position - was.pose.position, turn])
+    if not off[:3].any() and np.abs(turn).max() < 1e-15:
+        return 0.0
+    return float((np.abs(off) / np.sqrt(np.diag(was.covariance))).max())
+
+
 def farthest(rig: Rig, recording: Recording, before: list[dict[str, object]]) -> float:
     """The largest difference of a component of a pose from before, in its own sigma, solved again from windows."""
     tracks, worst = Tracks.none(), 0.0
@@ -47,13 +57,7 @@ def farthest(rig: Rig, recording: Recording, before: list[dict[str, object]]) ->
             was = before[index][robot]
             assert isinstance(was, PoseEstimate) == isinstance(answer, PoseEstimate)
             if isinstance(was, PoseEstimate) and isinstance(answer, PoseEstimate):
-                moved = answer.pose.position - was.pose.position
-                turned = answer.pose.rotation @ was.pose.rotation.T
-                turn = 0.5 * np.array(
-                    [turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]
-                )
-                off = np.abs(np.concatenate([moved, turn])) / np.sqrt(np.diag(was.covariance))
-                worst = max(worst, float(off.max()))
+                worst = max(worst, off_sigmas(was, answer))
     return worst
 
 
