@@ -6,6 +6,7 @@ NAME.damaged.
 """
 
 import contextlib
+import fcntl
 import os
 from collections import Counter
 from collections.abc import Callable
@@ -50,9 +51,11 @@ class Mended:
 def mend(files: list[Path]) -> list[Mended]:
     """Mend what is not whole.
 
-    Raises InputError, before anything is changed, where a file is none or a link, or where nothing can be read;
-    WorldError where the disk takes no more: the file in work is then as it was.
+    Raises InputError, before anything is changed, where a file is none, a link or being recorded, or where nothing can
+    be read; WorldError where the disk takes no more: the file in work is then as it was.
     """
+    for file in files:
+        _refuse_held(file)
     found = [examine(file) for file in files]
     if not any(one.contents.messages or one.texts for one in found):
         names = ", ".join(one.path.name for one in found)
@@ -62,6 +65,17 @@ def mend(files: list[Path]) -> list[Mended]:
         return [_mend(one, texts) for one in found]
     except OSError as error:
         raise WorldError(f"{error.filename or files[0].parent}: cannot be written ({error.strerror})") from None
+
+
+def _refuse_held(path: Path) -> None:
+    """Raise InputError for a file that a recorder is writing."""
+    with opened(path, follow=False) as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(f"{path}: is being recorded at the moment; stop its server first") from None
+        except OSError:
+            return  # some network disks know no locks
 
 
 def _mend(found: Examined, texts: dict[str, dict[str, str]]) -> Mended:
@@ -75,6 +89,7 @@ def _mend(found: Examined, texts: dict[str, dict[str, str]]) -> Mended:
         mended.done = ["it was empty and is removed"]
     elif found.faults and not found.contents.messages:
         mended.done = [f"nothing in it can be read ({found.faults[0]}); it is now {_set_aside(found.path)}"]
+        found.path.unlink(missing_ok=True)
     elif found.faults:
         mended.done = [*_lost(found), *_rewrite(found, texts, mended)]
     else:
@@ -131,20 +146,29 @@ def _rewrite(found: Examined, texts: dict[str, dict[str, str]], mended: Mended) 
         raise OSError(error.errno, error.strerror, str(new)) from None
     mended.kept = copy.kept
     kept_as = _set_aside(found.path)
-    new.rename(found.path)
+    new.replace(found.path)
     left_out = [f"{count} {why} left out" for why, count in copy.left_out.items()]
     return [*left_out, f"written anew ({', '.join(found.faults)}); the old file is kept as {kept_as}"]
 
 
 def _set_aside(path: Path) -> str:
-    """Rename a file to NAME.damaged, with a number behind where there is one already."""
+    """Keep a file as NAME.damaged, with a number behind where there is one already; its own name is free then, or may
+    be taken by another file at once.
+    """
     for number in range(1, 1000):
         name = path.name + DAMAGED + (f"-{number}" if number > 1 else "")
         aside = path.with_name(name)
         if not os.path.lexists(aside):
-            path.rename(aside)
-            return name
+            return _keep_as(path, aside)
     raise OSError(0, "a thousand damaged ones are kept already", str(path))
+
+
+def _keep_as(path: Path, aside: Path) -> str:
+    try:
+        aside.hardlink_to(path)  # so that there is a file of that name at every moment
+    except OSError:
+        path.rename(aside)
+    return aside.name
 
 
 class _Copy:

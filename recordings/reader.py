@@ -22,7 +22,7 @@ from asterism.protocol.messages import PROTOCOL, STATUS, Kind, Message
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, parse_rig
 from asterism.recordings.records import MAGIC, Damaged, read_metadata
-from asterism.recordings.summary_check import check_index
+from asterism.recordings.summary_check import check_index, read_at
 from asterism.recordings.told import METADATA, OFFSET_KEY, is_sound
 from asterism.recordings.walk import Gap, opened, walk
 
@@ -113,7 +113,7 @@ class Recording:
 
     def _check(self, file: Path) -> Statistics:
         with opened(file) as stream:
-            begin = os.pread(stream.fileno(), len(MAGIC), 0)
+            begin = read_at(stream, 0, len(MAGIC))
             if begin and begin != MAGIC[: len(begin)]:
                 raise InputError(f"{file}: is no MCAP file, expected what asterism recorded; {self._hint()}")
             try:
@@ -164,5 +164,5 @@ class Recording:
 
 
 def _ends_as_mcap(stream: BinaryIO) -> bool:
-    size = os.fstat(stream.fileno()).st_size
-    return os.pread(stream.fileno(), len(MAGIC), max(size - len(MAGIC), len(MAGIC))) == MAGIC
+    size = stream.seek(0, os.SEEK_END)
+    return read_at(stream, max(size - len(MAGIC), len(MAGIC)), len(MAGIC)) == MAGIC

@@ -32,11 +32,16 @@ class ChunkPlace(NamedTuple):
     length: int
 
 
+def read_at(file: BinaryIO, at: int, length: int) -> bytes:
+    """So many bytes, or those up to the file's end."""
+    file.seek(at)
+    return file.read(length)
+
+
 def read_summary(file: BinaryIO, begins: int | None = None) -> Summary:
     """Raises Damaged where a file has none that is sound; it ``begins`` elsewhere where the file has lost data."""
-    descriptor = file.fileno()
-    size = os.fstat(descriptor).st_size
-    cursor = Cursor(os.pread(descriptor, _FOOTER_BYTES, max(size - _FOOTER_BYTES, 0)))
+    size = file.seek(0, os.SEEK_END)
+    cursor = Cursor(read_at(file, max(size - _FOOTER_BYTES, 0), _FOOTER_BYTES))
     head = HEAD.unpack(cursor.take(HEAD.size))
     start, offset_start, crc = cursor.u64(), cursor.u64(), cursor.u32()
     if head != (Opcode.FOOTER, 20) or cursor.take(len(MAGIC)) != MAGIC:
@@ -45,7 +50,7 @@ def read_summary(file: BinaryIO, begins: int | None = None) -> Summary:
     length = size - _FOOTER_BYTES - where
     if not len(MAGIC) <= where or not 0 <= length <= MOST_BYTES:
         raise Damaged("its index is not where it should be")
-    data = os.pread(descriptor, length, where)
+    data = read_at(file, where, length)
     if crc not in (0, summary_crc(data, start, offset_start)):
         raise Damaged("its index is damaged")
     return Summary(start, offset_start, [(where + at, opcode, body) for at, opcode, body in records_in(data)])
@@ -68,9 +73,9 @@ def told_spans(file: BinaryIO, data_end: int) -> list[tuple[int, int]]:
 
 def check_index(file: BinaryIO) -> Statistics:
     """The file's statistics, once its index leads to chunks. Raises Damaged; reads little, however long the file."""
-    summary, descriptor = read_summary(file), file.fileno()
+    summary = read_summary(file)
     for place in chunk_places(summary):
-        head = os.pread(descriptor, HEAD.size, place.offset) if place.offset < summary.start else b""
+        head = read_at(file, place.offset, HEAD.size) if place.offset < summary.start else b""
         if len(head) < HEAD.size or HEAD.unpack(head) != (Opcode.CHUNK, place.length - HEAD.size):
             raise Damaged("its index leads to no chunk")
     bodies = [body for _, opcode, body in summary.records if opcode == Opcode.STATISTICS]
@@ -99,7 +104,7 @@ def ending_is_right(file: BinaryIO, data_end: int, contents: Contents) -> bool:
         summary = read_summary(file)
     except Damaged:
         return False
-    behind = os.pread(file.fileno(), _DATA_END_BYTES, data_end)
+    behind = read_at(file, data_end, _DATA_END_BYTES)
     if behind != HEAD.pack(Opcode.DATA_END, 4) + bytes(4) or summary.start != data_end + _DATA_END_BYTES:
         return False
     expected = [(int(opcode), _body(record)) for opcode, records in contents.groups() for record in records]

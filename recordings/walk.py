@@ -86,8 +86,8 @@ def walk(file: BinaryIO, start: int | None = None) -> Iterator[Part | Gap]:
 
 class _Walk:
     def __init__(self, file: BinaryIO) -> None:
-        self._file = file.fileno()
-        self._size = os.fstat(self._file).st_size
+        self._file = file
+        self._size = file.seek(0, os.SEEK_END)
         self._tries = max(_TRIED_BYTES, _TRIED_TIMES * self._size)
 
     def parts(self, start: int | None) -> Iterator[Part | Gap]:
@@ -106,7 +106,8 @@ class _Walk:
         """So many bytes, or those up to the file's end."""
         parts, end = [], at + length
         while at < end:
-            part = os.pread(self._file, end - at, at)
+            self._file.seek(at)
+            part = self._file.read(end - at)
             if not part:
                 break
             parts.append(part)

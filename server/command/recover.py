@@ -1,8 +1,9 @@
 """asterism recover: make a recording whole that was cut off or damaged."""
 
 import argparse
+import contextlib
 
-from asterism.recordings.mend import mend
+from asterism.recordings.mend import UNFINISHED, mend
 from asterism.recordings.reader import recording_files
 from asterism.recordings.room import RESERVE
 from asterism.server.command.shared_arguments import add_recording
@@ -20,5 +21,8 @@ def run(options: argparse.Namespace) -> int:
     poses, frames = recording_files(options.recording)
     for mended in mend(poses + frames):
         print(mended)
-    (options.recording / RESERVE).unlink(missing_ok=True)
+    # What a server that was killed, or a recover, left behind.
+    for left in (options.recording / RESERVE, *options.recording.glob(f"*.mcap{UNFINISHED}")):
+        with contextlib.suppress(OSError):
+            left.unlink()
     return 0

@@ -2,6 +2,7 @@
 
 import os
 import socket
+import time
 from pathlib import Path
 
 import numpy as np
@@ -183,3 +184,19 @@ def test_every_chunk_can_be_read_alone(tmp_path: Path) -> None:
         chunk = Chunk(data[begin + HEAD.size : end]).read()
         assert {message.channel for message in chunk.messages} == set(chunk.channels)
         assert {channel.schema_id for channel in chunk.channels.values()} == set(chunk.schemas)
+
+
+def test_what_is_being_recorded_is_left_alone(tmp_path: Path) -> None:
+    from asterism.recordings.recorder import FramesKept, Recorder
+    from tests.recordings.mutations import rig
+
+    told, _ = hand_made(6, np.random.default_rng(1))
+    recorder = Recorder(tmp_path, rig(), "test", FramesKept(0), wait=True)
+    for message in told:
+        recorder.write([message], None, message.log_ns, message.sequence)
+    while not list(recorder.folder.glob("*.mcap")):
+        time.sleep(0.002)
+    with pytest.raises(InputError, match="is being recorded at the moment; stop its server first"):
+        mend(sorted(recorder.folder.glob("*.mcap")))
+    recorder.close({})
+    assert [str(one).endswith("whole") for one in mend(sorted(recorder.folder.glob("*.mcap")))] == [True]
