@@ -23,6 +23,7 @@ from asterism.recordings.records import (
 )
 
 MOST_BYTES = 64 << 20  # of a chunk, packed or not: an image of 64 million pixels
+SWELLING = 300
 COMPRESSIONS = frozenset({"", "lz4", "zstd"})
 _HEAD = struct.Struct("<QQQII")  # first and last time, size unpacked, check sum, length of the compression's name
 # How a chunk begins, whatever is in it: opcode, length, times, size, check sum, compression; unpacked ones tell their
@@ -63,6 +64,11 @@ class Chunk:
         return self.packed == len(self.data)
 
     @property
+    def swells(self) -> bool:
+        """Whether it tells that it unpacks to so much more than it is that it may be a bomb, or all black."""
+        return bool(self.size > SWELLING * len(self.data) + (1 << 20))
+
+    @property
     def is_checked(self) -> bool:
         """Whether a check sum tells what is damaged: MCAP's, or zstd's own."""
         if self.crc or self.compression != "zstd":
@@ -86,10 +92,14 @@ class Chunk:
             unpacked: Buffer = self.data
         else:
             unpacked = (_zstd if self.compression == "zstd" else _lz4)(self.data, believed)
+        wrong = ""
         if size is None and len(unpacked) != self.size:
-            raise Damaged("a chunk of another size than it tells")
-        if self.crc and zlib.crc32(unpacked) != self.crc:
-            raise Damaged("a wrong check sum")
+            wrong = "a chunk of another size than it tells"
+        elif self.crc and zlib.crc32(unpacked) != self.crc:
+            wrong = "a wrong check sum"
+        if wrong:
+            del unpacked  # the exception's traceback would keep it
+            raise Damaged(wrong)
         return unpacked
 
     def read(self, size: int | None = None) -> Unpacked:

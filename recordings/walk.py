@@ -122,33 +122,41 @@ class _Walk:
             raise Damaged("it is cut off")
         opcode, length = HEAD.unpack(head)
         if opcode not in OPCODES:
-            return self._chunk_anyway(at, Damaged("what is no record"))
+            return self._chunk_anyway(at, "what is no record")
         if length > self._size - at - HEAD.size:
-            return self._chunk_anyway(at, Damaged("it is cut off"))
+            return self._chunk_anyway(at, "it is cut off")
         if length > MOST_BYTES + SIGNATURE_BYTES:
-            return self._chunk_anyway(at, Damaged(f"a record of {length} bytes, where at most {MOST_BYTES} are read"))
+            return self._chunk_anyway(at, f"a record of {length} bytes, where at most {MOST_BYTES} are read")
         body = memoryview(self._read(at + HEAD.size, length))
         if opcode == Opcode.CHUNK:
             return self._chunk(at, body)
         if SIGNATURE.match(bytes([Opcode.CHUNK]) + head[1:] + body[:SIGNATURE_BYTES].tobytes()):
-            return self._chunk_anyway(at, Damaged("a chunk that calls itself something else"))
+            return self._chunk_anyway(at, "a chunk that calls itself something else")
         check_record(opcode, body)
         return Part(at, HEAD.size + length, opcode, body)
 
     def _chunk(self, at: int, body: memoryview) -> Part:
+        why = ""
         try:
             chunk = Chunk(body)
             if not chunk.consistent:
                 raise Damaged("a length that is not its chunk's")
-            return Part(at, HEAD.size + len(body), Opcode.CHUNK, body, chunk, chunk.read())
+            if chunk.swells and self._tries < 0:
+                raise Damaged("one of too many chunks that unpack to too much")
+            try:
+                return Part(at, HEAD.size + len(body), Opcode.CHUNK, body, chunk, chunk.read())
+            except Damaged:
+                self._tries -= min(chunk.size, MOST_BYTES)
+                raise
         except Damaged as damage:
-            return self._chunk_anyway(at, damage)
+            why = str(damage)
+        return self._chunk_anyway(at, why)
 
-    def _chunk_anyway(self, at: int, damage: Damaged) -> Part:
+    def _chunk_anyway(self, at: int, why: str) -> Part:
         """The chunk that is there although its opcode or one of its lengths is wrong: its check sum tells."""
         head = self._read(at, SIGNATURE_BYTES + 8)
         if len(head) < SIGNATURE_BYTES + 8:
-            raise damage
+            raise Damaged(why)
         outer = HEAD.unpack_from(head)[1]
         # The smaller first: what is behind a packed chunk goes unnoticed when that is read.
         for body_bytes in sorted({outer, self._told_by_chunk(head)}):
@@ -164,7 +172,7 @@ class _Walk:
             except Damaged:
                 continue
             return Part(at, HEAD.size + body_bytes, Opcode.CHUNK, body, chunk, unpacked, amiss=True)
-        raise damage
+        raise Damaged(why)
 
     @staticmethod
     def _told_by_chunk(head: bytes) -> int:

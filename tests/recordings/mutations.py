@@ -236,15 +236,16 @@ def bomb(data: bytes, rng: np.random.Generator) -> Damage:
     begin, end = _record(data, rng, Opcode.CHUNK)
     packed, told = BOMBS[rng.integers(len(BOMBS))]
     chunk = Chunk(data[begin + HEAD.size : end])
-    return Damage(data[:begin] + _packed_record(packed, "zstd", told, 0, chunk) + data[end:], (begin, end))
+    return Damage(data[:begin] + packed_record(packed, "zstd", told, 0, chunk) + data[end:], (begin, end))
 
 
 def chunk_record(unpacked: bytes, like: Chunk) -> bytes:
     """A chunk of these records, not packed, with the times of another."""
-    return _packed_record(unpacked, "", len(unpacked), zlib.crc32(unpacked), like)
+    return packed_record(unpacked, "", len(unpacked), zlib.crc32(unpacked), like)
 
 
-def _packed_record(packed: bytes, compression: str, size: int, crc: int, like: Chunk) -> bytes:
+def packed_record(packed: bytes, compression: str, size: int, crc: int, like: Chunk) -> bytes:
+    """A chunk of that data, with the times of another."""
     builder = RecordBuilder()
     for number in (like.first_ns, like.last_ns, size):
         builder.write8(number)

@@ -2,6 +2,8 @@
 
 import os
 import socket
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -15,8 +17,10 @@ from asterism.recordings.reader import Recording
 from asterism.recordings.records import HEAD
 from tests.recordings.judge import read_all, readers_refuse_in_a_sentence, recovered
 from tests.recordings.mutations import (
+    BOMBS,
     MUTATIONS,
     hand_made,
+    packed_record,
     payloads,
     records_of,
     untouched,
@@ -200,3 +204,20 @@ def test_what_is_being_recorded_is_left_alone(tmp_path: Path) -> None:
         mend(sorted(recorder.folder.glob("*.mcap")))
     recorder.close({})
     assert [str(one).endswith("whole") for one in mend(sorted(recorder.folder.glob("*.mcap")))] == [True]
+
+
+def test_a_file_full_of_bombs_takes_little_memory_and_time(folder: Path) -> None:
+    """In a process of its own, whose memory is bounded: 200 chunks of 6 kB that each claim to be 60 MB."""
+    file = folder / "poses-0001.mcap"
+    data = file.read_bytes()
+    begin, end = chunks_of(file)[1]
+    like = Chunk(data[begin + HEAD.size : end])
+    bombs = b"".join(packed_record(BOMBS[0][0], "zstd", 60 << 20, number, like) for number in range(1, 200))
+    file.write_bytes(data[:begin] + bombs + data[end:])
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_DATA, (300 << 20, 300 << 20))\n"
+    call = "from asterism.server.__main__ import main; import sys; sys.exit(main())"
+    told = subprocess.run(
+        [sys.executable, "-c", limit + call, "recover", str(folder)], capture_output=True, text=True, check=False
+    )
+    assert (told.returncode, told.stderr) == (0, "")
+    assert f"{3 * FRAMES - A_CHUNK} messages" in told.stdout
