@@ -10,10 +10,12 @@ from typing import TypeVar
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CircleAnnotation_pb2 import CircleAnnotation
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from foxglove_schemas_protobuf.TextAnnotation_pb2 import TextAnnotation
 from google.protobuf.message import DecodeError
 from google.protobuf.message import Message as Protobuf
 from google.protobuf.timestamp_pb2 import Timestamp
@@ -31,6 +33,7 @@ SECOND_NS = 1_000_000_000
 _PUBLISHED = "published_ns"
 _ACCELERATIONS = ("acceleration", "turn_acceleration")
 _UNIT = 1e-3  # a quaternion may be off unit length by so much
+_DATA_TAG = bytes([RawImage.DATA_FIELD_NUMBER << 3 | 2])  # a field of bytes
 
 M = TypeVar("M", bound=Protobuf)
 
@@ -260,9 +263,9 @@ def decode_rig(payload: bytes) -> "pb.RigReport":
 
 def encode_transforms(time_ns: int, transforms: list[tuple[str, str, Pose]]) -> bytes:
     """foxglove.FrameTransforms of (parent frame, child frame, T_parent_child)."""
-    message = FrameTransforms()
+    message, stamp = FrameTransforms(), _timestamp(time_ns)
     for parent, child, pose in transforms:
-        entry = message.transforms.add(timestamp=_timestamp(time_ns), parent_frame_id=parent, child_frame_id=child)
+        entry = message.transforms.add(timestamp=stamp, parent_frame_id=parent, child_frame_id=child)
         entry.translation.x, entry.translation.y, entry.translation.z = pose.position.tolist()
         entry.translation.SetInParent()
         q = entry.rotation
@@ -289,17 +292,29 @@ def encode_calibration(time_ns: int, camera: Camera) -> bytes:
 
 def encode_image(time_ns: int, camera: Camera, image: NDArray[np.uint8]) -> bytes:
     """foxglove.RawImage of an (h, w) grey image."""
+    return b"".join(image_parts(time_ns, camera, image))
+
+
+def image_parts(time_ns: int, camera: Camera, image: NDArray[np.uint8]) -> tuple[bytes, memoryview]:
+    """The same in two pieces, the second of which is the image's own memory: nothing of it is copied.
+
+    Its field comes last, which protobuf allows.
+    """
     height, width = image.shape
     message = RawImage(
-        timestamp=_timestamp(time_ns),
-        frame_id=camera.name,
-        width=width,
-        height=height,
-        encoding="mono8",
-        step=width,
-        data=image.tobytes(),
+        timestamp=_timestamp(time_ns), frame_id=camera.name, width=width, height=height, encoding="mono8", step=width
     )
-    return to_bytes(message)
+    pixels = memoryview(np.ascontiguousarray(image).reshape(-1))  # type: ignore[arg-type]
+    return to_bytes(message) + _DATA_TAG + _varint(len(pixels)), pixels
+
+
+def _varint(number: int) -> bytes:
+    """Protobuf's variable-length number."""
+    coded = bytearray()
+    while number > 0x7F:
+        coded.append(number & 0x7F | 0x80)
+        number >>= 7
+    return bytes([*coded, number])
 
 
 def decode_image(payload: bytes) -> NDArray[np.uint8]:
@@ -317,27 +332,45 @@ def encode_annotations(time_ns: int, report: "pb.FrameReport") -> bytes:
     """foxglove.ImageAnnotations of a report's spots: a circle for each, green for LEDs, red for the rejected, and
     the robot's id beside its first LED.
     """
-    message = ImageAnnotations()
+    message, stamp = ImageAnnotations(), _timestamp(time_ns)
+    circles = {fate: _circle(stamp, colour) for fate, colour in _FATE_COLOURS.items()}
+    other, label = _circle(stamp, (1.0, 0.2, 0.2, 0.7)), _label(stamp)
     spots = report.spots
     named: set[int] = set()
     for x, y, radius, fate, robot, led in zip(
         spots.x, spots.y, spots.radius, spots.fate, spots.robot, spots.led, strict=True
     ):
-        circle = message.circles.add(timestamp=_timestamp(time_ns), thickness=1.0, diameter=2 * radius + 6)
-        circle.position.x, circle.position.y = x, y
-        colour = circle.outline_color
-        if fate == pb.LED:
-            colour.r, colour.g, colour.b, colour.a = 0.2, 1.0, 0.3, 1.0
-        elif fate == pb.UNEXPLAINED:
-            colour.r, colour.g, colour.b, colour.a = 1.0, 0.8, 0.1, 1.0
-        else:
-            colour.r, colour.g, colour.b, colour.a = 1.0, 0.2, 0.2, 0.7
-        circle.fill_color.SetInParent()
+        # Copies of what is the same for all: a third of the time of setting every field.
+        circle = message.circles.add()
+        circle.CopyFrom(circles.get(fate, other))
+        circle.diameter = 2 * radius + 6
+        position = circle.position
+        position.x, position.y = x, y
         if robot >= 0:
-            label = f"{report.robots[robot].id} {led}" if robot not in named else str(led)
+            text = message.texts.add()
+            text.CopyFrom(label)
+            text.text = f"{report.robots[robot].id} {led}" if robot not in named else str(led)
             named.add(robot)
-            text = message.texts.add(timestamp=_timestamp(time_ns), text=label, font_size=14.0)
-            text.position.x, text.position.y = x + radius + 5, y
-            text.text_color.r, text.text_color.g, text.text_color.b, text.text_color.a = 0.2, 1.0, 0.3, 1.0
-            text.background_color.SetInParent()
+            position = text.position
+            position.x, position.y = x + radius + 5, y
     return to_bytes(message)
+
+
+_FATE_COLOURS = {pb.LED: (0.2, 1.0, 0.3, 1.0), pb.UNEXPLAINED: (1.0, 0.8, 0.1, 1.0)}
+
+
+def _circle(stamp: Timestamp, colour: tuple[float, float, float, float]) -> CircleAnnotation:
+    circle = CircleAnnotation(timestamp=stamp, thickness=1.0)
+    line = circle.outline_color
+    line.r, line.g, line.b, line.a = colour
+    circle.fill_color.SetInParent()
+    circle.position.SetInParent()
+    return circle
+
+
+def _label(stamp: Timestamp) -> TextAnnotation:
+    label = TextAnnotation(timestamp=stamp, font_size=14.0)
+    colour = label.text_color
+    colour.r, colour.g, colour.b, colour.a = 0.2, 1.0, 0.3, 1.0
+    label.background_color.SetInParent()
+    return label

@@ -13,7 +13,7 @@ from asterism.clients.watched import RobotTable
 from asterism.protocol.errors import InputError
 from asterism.protocol.program import typed
 from asterism.protocol.rig import load_rig
-from asterism.recordings.recorder import Recorder
+from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.number_arguments import positive
 from asterism.server.command.shared_arguments import add_server, add_smoothing, client_words, named
@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
         table, drawn = RobotTable(), threading.Event()
         stack.callback(table.subscribe(air.session).clear)
         drawing = threading.Thread(target=show, args=(table, console, drawn), name="table")
-        recorder = Recorder(options.record, rig, source.name, 1, wait=True)
+        recorder = Recorder(options.record, rig, source.name, FramesKept(), wait=True)
         served = Run(rig, source, Outlets(air.publisher, recorder), stop, clock)
         drawing.start()
         try:

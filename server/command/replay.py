@@ -27,6 +27,9 @@ EXAMPLES = (
     "asterism replay RECORDING --solve rig.yaml\n"
 )
 
+# A server tells its status every second: nothing for so long is no part of what happened.
+LONGEST_GAP_NS = 3_000_000_000
+BACK_NS = 100_000_000  # what threads publish side by side may be out of order by less
 LOCATED = (pb.TRACKED, pb.TILT_AMBIGUOUS)
 
 
@@ -98,12 +101,25 @@ def _solved(recording: Recording, rig: Rig) -> Iterator[Message]:
         yield from (stamped(message, exposed_ns) for message in report(frame, result, rig, exposed_ns))
 
 
+def _step(step_ns: int) -> str:
+    if step_ns < 0:
+        return f"the recording's clock was set back by {-step_ns * 1e-9:.1f} s here"
+    return f"for {step_ns * 1e-9:.1f} s nothing was recorded here, or the clock was set"
+
+
 def _play(messages: Iterator[Message], publisher: Publisher, clock: PlayClock, stop: Stop) -> int:
-    """Publish messages, spaced as their publish times are, in a session of this play; returns how many."""
-    count = 0
+    """Publish messages, spaced as their publish times are, in a session of this play; returns how many.
+
+    Where the recording's clock was set, or nothing was recorded, the play goes on at once, in a session of its own.
+    """
+    count, before_ns = 0, 0
     for message in messages:
-        if not count:
+        step_ns = message.publish_ns - before_ns
+        if not count or step_ns < -BACK_NS or step_ns > LONGEST_GAP_NS:
+            if count:
+                say(f"{_step(step_ns)}; the replay goes on at once")
             clock.begin(message.publish_ns)
+        before_ns = message.publish_ns
         while (left_ns := message.publish_ns - clock.now_ns()) > 0 and not stop():
             time.sleep(min(left_ns * 1e-9 / clock.rate, 0.05))
         if stop():

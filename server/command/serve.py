@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from asterism.protocol.errors import InputError
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, load_rig
-from asterism.recordings.recorder import Recorder
+from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.server.chain.warm_up import localizing, warm_up
-from asterism.server.command.number_arguments import count, port, positive
+from asterism.server.command.number_arguments import count, port, positive, size
 from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing, named
 from asterism.server.output import check_folder_of_many
 from asterism.server.service.live_line import LiveLine
@@ -41,10 +41,16 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     part.add_argument("--record", metavar="DIR", type=named, help="record into a new folder in DIR")
     part.add_argument(
         "--record-frames",
-        metavar="all|N|none",
-        type=_every,
-        default=1,
-        help="every frame, every Nth, none (default: all)",
+        metavar="all|N|spots|none",
+        type=_kept,
+        default=FramesKept(),
+        help="every frame, every Nth, of every one the windows around spots, none (default: all)",
+    )
+    part.add_argument(
+        "--record-limit",
+        metavar="SIZE",
+        type=size,
+        help="at most so much, such as 50GB: the oldest frames are deleted, poses stay",
     )
     part.add_argument(
         "--metrics", metavar="PORT", type=port, help="health for Prometheus at http://127.0.0.1:PORT/metrics"
@@ -54,16 +60,18 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     add_server(part)
 
 
-def _every(text: str) -> int:
-    if text in ("all", "none"):
-        return int(text == "all")
-    return count(text)
+def _kept(text: str) -> FramesKept:
+    if text in ("all", "none", "spots"):
+        return FramesKept(int(text != "none"), text == "spots")
+    return FramesKept(count(text))
 
 
 def run(options: argparse.Namespace) -> int:
     """Serve until the source ends or Ctrl-C; exit code 1 if the recording had to end early."""
     if options.record is not None:
         check_folder_of_many(options.record)
+    elif options.record_limit is not None:
+        raise InputError("--record-limit is for a recording; add --record DIR")
     rig = load_rig(options.rig)
     say_warnings(rig)
     place = Place(options.listen, options.connect, options.zenoh)
@@ -124,6 +132,15 @@ def _metrics(options: argparse.Namespace, rig: Rig, stack: ExitStack) -> "Collec
 def _recorder(options: argparse.Namespace, rig: Rig, source: Source) -> Recorder | None:
     if options.record is None:
         return None
-    recorder = Recorder(options.record, rig, source.name, options.record_frames, wait=not source.live)
-    say(f"recording to {recorder.folder}")
+    kept, limit = options.record_frames, options.record_limit
+    recorder = Recorder(options.record, rig, source.name, kept, wait=not source.live, limit_bytes=limit)
+    say(f"recording to {recorder.folder}{_rate(rig, source, kept)}")
     return recorder
+
+
+def _rate(rig: Rig, source: Source, kept: FramesKept) -> str:
+    """What whole frames take, before anything is measured."""
+    if kept.every == 0 or kept.spots:
+        return ""
+    rate = rig.camera.width * rig.camera.height * source.rate_hz / kept.every
+    return f": frames take {rate / 1e6:.0f} MB/s, {rate * 3600 / 1e9:.0f} GB an hour"

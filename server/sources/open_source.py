@@ -43,7 +43,7 @@ def _open(text: str, rig: Rig | None, say: Say, seed: int) -> Source:
     path = Path(text)
     if path.is_dir():
         if any(path.glob("*.mcap")):
-            return RecordedFrames(path, rig)
+            return RecordedFrames(path, rig, say)
         return image_files(text, [entry for entry in path.iterdir() if entry.is_file()], rig, say)
     if path.is_file():
         if path.suffix.lower() in EXTENSIONS:
