@@ -17,7 +17,7 @@ from asterism.protocol.network import client_config
 from asterism.protocol.rig import load_rig
 from asterism.recordings.held import WRITER
 from asterism.recordings.reader import Recording
-from asterism.recordings.recorder import RESERVE
+from asterism.recordings.room import RESERVE
 from asterism.server.__main__ import main
 from asterism.server.command.reload import refuse_what_cannot_reload
 from asterism.server.service.on_air import Place, on_air

@@ -13,7 +13,7 @@ import pytest
 from asterism.clients import PoseClient
 from asterism.recordings.held import WRITER, hold
 from asterism.recordings.reader import Recording
-from asterism.recordings.recorder import RESERVE
+from asterism.recordings.room import RESERVE
 from asterism.server.__main__ import main
 from asterism.server.service.recovery import LOWEST, Recovery
 from asterism.server.simulation.demo_rig import DEMO_RIG
