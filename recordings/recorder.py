@@ -6,6 +6,7 @@ there is room again.
 """
 
 import contextlib
+import logging
 import queue
 import threading
 import time
@@ -32,6 +33,8 @@ from asterism.recordings.series import Series
 from asterism.recordings.spots import Spot, SpotWindows
 from asterism.recordings.told import OFFSET_KEY
 from asterism.recordings.viewers import Viewers, first_messages
+
+_LOG = logging.getLogger(__name__)
 
 POSES_SPLIT_BYTES = 512 << 20
 FRAMES_SPLIT_BYTES = 2 << 30
@@ -163,7 +166,12 @@ class Recorder:
             if item is None:
                 self._finish()
                 return
-            self._record(item)
+            try:
+                self._record(item)
+            except Exception as error:  # a fault of the program must not end the recording, nor hold up who writes
+                _LOG.exception("frame %d", item.sequence)
+                self._lost[0] += item.image is not None
+                self._stop(OSError(0, f"a fault of the program: {error!r}"))
             if time.monotonic() - flushed >= FLUSH_S:
                 self._flush()
                 flushed = time.monotonic()

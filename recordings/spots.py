@@ -32,6 +32,8 @@ CHANGED, CHANGED_MUCH = 0.6, 4.0  # grey levels of the mean, from which on the l
 LEAST_AGE = 60  # frames, unless it has changed much: lamps flicker
 
 Image = NDArray[np.uint8]
+Window = tuple[int, int, int, int]  # first and behind the last row, the same of columns
+_NOWHERE = np.empty(0, np.intp)
 
 
 class Spot(NamedTuple):
@@ -49,8 +51,9 @@ class SpotWindows:
     def __init__(self, height: int, width: int) -> None:
         self._plain = np.empty((height, width), np.uint8)
         self._out = np.empty_like(self._plain)
-        self._windows: list[tuple[slice, slice]] = []
-        self._tiles: set[tuple[int, int]] = set()
+        self._windows: set[Window] = set()
+        self._tiles: set[tuple[int, int]] = set()  # about them
+        self._places = _NOWHERE  # of what tells those tiles
         self._age = REFRESH
         self._mean = -math.inf
         tiles_y, tiles_x = max(1, round(height / TILE_PX)), max(1, round(width / TILE_PX))
@@ -72,43 +75,41 @@ class SpotWindows:
             self._age, self._mean = 0, mean
             _draw(image, self._plain, self._ys, self._xs)
             self._out[:] = self._plain
-            self._tiles.clear()
-        else:
-            for window in self._windows:
-                self._out[window] = self._plain[window]
-        self._windows = [self._window(spot) for spot in spots]
+            self._windows, self._tiles = set(), set()
+        windows = {self._window(spot) for spot in spots}
+        for y0, y1, x0, x1 in self._windows - windows:
+            self._out[y0:y1, x0:x1] = self._plain[y0:y1, x0:x1]
+        self._windows = windows
         self._tell_tiles(image)
-        for window in self._windows:
-            self._out[window] = image[window]
+        for y0, y1, x0, x1 in windows:
+            self._out[y0:y1, x0:x1] = image[y0:y1, x0:x1]
         return self._out
 
     def _tell_tiles(self, image: Image) -> None:
         """Keep what tells the background of the tiles about the windows; the others' goes back to what it was."""
-        blocks = {self._about(*window) for window in self._windows}
+        blocks = {self._about(window) for window in self._windows}
         tiles = {(ty, tx) for y0, y1, x0, x1 in blocks for ty in range(y0, y1) for tx in range(x0, x1)}
         out, now, plain = self._out.reshape(-1), image.reshape(-1), self._plain.reshape(-1)
-        for tile in self._tiles - tiles:
-            out[self._samples[tile]] = plain[self._samples[tile]]
-        if tiles:
-            places = np.concatenate([self._samples[tile] for tile in tiles])
-            out[places] = now[places]
-        self._tiles = tiles
+        if tiles != self._tiles:
+            for tile in self._tiles - tiles:
+                out[self._samples[tile]] = plain[self._samples[tile]]
+            self._tiles = tiles
+            self._places = np.concatenate([_NOWHERE, *(self._samples[tile] for tile in sorted(tiles))])
+        out[self._places] = now[self._places]
 
-    def _about(self, rows: slice, columns: slice) -> tuple[int, int, int, int]:
+    def _about(self, window: Window) -> Window:
         """The tiles between whose centres a window lies: the first and the one behind the last, down and across."""
         (height, width), tiles_y, tiles_x = self._out.shape, len(self._ys) - 1, len(self._xs) - 1
-        y0, y1 = rows.start * tiles_y / height - 0.5, rows.stop * tiles_y / height - 0.5
-        x0, x1 = columns.start * tiles_x / width - 0.5, columns.stop * tiles_x / width - 0.5
+        y0, y1 = window[0] * tiles_y / height - 0.5, window[1] * tiles_y / height - 0.5
+        x0, x1 = window[2] * tiles_x / width - 0.5, window[3] * tiles_x / width - 0.5
         down, across = min(int(y1) + 2, tiles_y), min(int(x1) + 2, tiles_x)
         return max(int(y0), 0), down, max(int(x0), 0), across
 
-    def _window(self, spot: Spot) -> tuple[slice, slice]:
+    def _window(self, spot: Spot) -> Window:
         half = LIGHT_TIMES * spot.radius + LIGHT_PX if spot.fate in OF_LIGHT else OTHER_TIMES * spot.radius + OTHER_PX
         half = min(half, LARGEST_PX)
-        return (
-            slice(max(int(spot.y - half), 0), max(int(spot.y + half) + 2, 0)),
-            slice(max(int(spot.x - half), 0), max(int(spot.x + half) + 2, 0)),
-        )
+        x, y = spot.x, spot.y
+        return max(int(y - half), 0), max(int(y + half) + 2, 0), max(int(x - half), 0), max(int(x + half) + 2, 0)
 
 
 def _draw(image: Image, plain: Image, ys: list[int], xs: list[int]) -> None:

@@ -141,3 +141,25 @@ def test_a_recording_of_limited_size_loses_its_oldest_frames_and_no_poses(
     assert len(images) >= 10
     assert made.frames_deleted == 60 - len(images)
     assert made.frames_left_out == 0
+
+
+def test_a_fault_of_the_program_ends_no_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    told, _ = hand_made(60, rng)
+    made = Recorder(tmp_path, rig(), "test", FramesKept(), wait=True)
+    image, faults = made._image, iter([True] * 3)
+
+    def faulty(*of: object) -> None:
+        if next(faults, False):
+            raise ValueError("never thought of")
+        image(*of)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(made, "_image", faulty)
+    for index in range(60):  # more than the queue holds
+        made.write(messages_of(index, told), IMAGE, told[3 * index].log_ns, index)
+    made.close({})
+    reports, images = recorded(made.folder)
+    assert images == list(range(3, 60))
+    assert reports[-1] == 59
+    assert made.frames_left_out == 3
