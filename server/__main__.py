@@ -49,10 +49,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 @contextlib.contextmanager
 def _in_one_go(alone: bool) -> Iterator[None]:
-    """Where this is the process' only work: once it is done, Ctrl-C cannot disturb how Python ends."""
+    """Where this is the process' only work: once it is done, one more Ctrl-C cannot disturb how Python ends."""
     yield
-    if alone:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if alone and hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
 
 
 def _run(options: argparse.Namespace, words: list[str], told: Telling) -> int:
