@@ -65,16 +65,16 @@ def server_config(listen: str | None = None, connect: str | None = None, options
     _default(config, "transport/link/tx/batch_size", _BATCH_BYTES)
     if connect is not None:
         _set(config, "mode", "client")
-        _set(config, "connect/endpoints", [_short_of_buffer(connect)])
+        _set(config, "connect/endpoints", [connect])
         _set(config, "listen/endpoints", [])
         return config
     _default(config, "mode", "peer")
     if listen is not None:
-        _set(config, "listen/endpoints", [_short_of_buffer(listen)])
+        _set(config, "listen/endpoints", [listen])
     elif config.get_json("mode") == '"client"':
         _default(config, "listen/endpoints", [])
     else:
-        _default(config, "listen/endpoints", [_short_of_buffer(DEFAULT_ENDPOINT)])
+        _default(config, "listen/endpoints", [DEFAULT_ENDPOINT])
     if config.get_json("mode") != '"client"':
         _default(config, "access_control", _OWN_KEYS_ONLY)
         _default(config, "transport/unicast/accept_timeout", _ACCEPT_TIMEOUT_MS)
@@ -82,7 +82,7 @@ def server_config(listen: str | None = None, connect: str | None = None, options
     return config
 
 
-def _short_of_buffer(endpoint: str) -> str:
+def short_of_buffer(endpoint: str) -> str:
     """The endpoint with a small buffer for sending, where it says nothing of it itself."""
     if endpoint.partition("/")[0] not in ("tcp", "tls") or "so_sndbuf" in endpoint:
         return endpoint
@@ -165,6 +165,10 @@ def open_server(listen: str | None = None, connect: str | None = None, options: 
         if endpoint is not None:
             check_endpoint(endpoint)
     config = server_config(listen, connect, options)
+    for key in ("listen/endpoints", "connect/endpoints"):
+        endpoints = json.loads(config.get_json(key))
+        if isinstance(endpoints, list):
+            _set(config, key, [short_of_buffer(endpoint) for endpoint in endpoints])
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
