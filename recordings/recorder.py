@@ -39,7 +39,7 @@ _LOG = logging.getLogger(__name__)
 POSES_SPLIT_BYTES = 512 << 20
 FRAMES_SPLIT_BYTES = 2 << 30
 LIMIT_PARTS = 16  # frames files of a recording of limited size, about: the oldest goes when there are too many
-FLUSH_S = 1.0
+FLUSH_S = 0.5
 RETRY_S = 1.0  # after a write failed
 QUEUE = 48  # frames; at 1.3 MB each some 60 MB
 

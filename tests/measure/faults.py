@@ -41,6 +41,7 @@ from tests.servers import asterism, free_endpoint
 RATE_HZ = 60
 ROBOT, CAMERA = "alpha", "demo"
 WRONG_M = 0.005
+WARM = 180  # frames before the fault
 OLDEST_S = 0.3  # of what `latest(0.1)` hands out, measured from outside
 TIMEOUT_S = 60.0
 
@@ -97,6 +98,13 @@ class Client:
         with self.changed:
             assert self.changed.wait_for(lambda: bool(found()), TIMEOUT_S), "no pose came again"
             return float(found()[0]["at"])
+
+    def until_sequence(self, number: int) -> None:
+        """Wait for the pose of that frame, or a later one."""
+        with self.changed:
+            assert self.changed.wait_for(
+                lambda: any(line.get("sequence", 0) >= number for line in reversed(self.lines)), TIMEOUT_S
+            ), f"frame {number} never came"
 
     def state_after(self, moment: float, state: str) -> float:
         """When it told that state first after a moment."""
@@ -168,7 +176,7 @@ def served(rig: Path = DEMO_RIG) -> Iterator[Place]:
         stack.callback(server.end)
         client = Client(endpoint)
         stack.callback(client.end)
-        client.pose_after(0.0)
+        client.until_sequence(WARM)
         yield Place(server, client, endpoint, folder)
         # What is judged comes after this.
 
@@ -278,13 +286,16 @@ class Judged(NamedTuple):
 def judge(place: Place, back_s: float) -> Judged:
     place.server.end()
     errors = place.server.said + place.client.end()
-    scene = Scene(load_rig(DEMO_RIG), 0)
+    rig = load_rig(DEMO_RIG)
+    scene, T_world_camera = Scene(rig, 0), rig.T_world_camera
+    assert T_world_camera is not None
     wrong = old = 0
     for line in place.client.lines:
         if "sequence" not in line:
             continue
-        right = scene.truth(line["sequence"], line["sequence"] / RATE_HZ)[ROBOT]
-        wrong += bool(np.linalg.norm(np.subtract(line["position"], right.position)) > WRONG_M)
+        truth = scene.truth(line["sequence"], line["sequence"] / RATE_HZ)
+        right = T_world_camera.map(next(t.T_camera_robot.position for t in truth if t.robot == ROBOT)[None])[0]
+        wrong += bool(np.linalg.norm(np.subtract(line["position"], right)) > WRONG_M)
         old += (line["wall"] - line["exposed"]) * 1e-9 > OLDEST_S
     told = [line["exposed"] for line in place.client.lines if "exposed" in line]
     lost = max((_lost_s(folder, told) for folder in place.folder.iterdir()), default=0.0)
