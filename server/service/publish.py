@@ -43,7 +43,7 @@ class Publisher:
         self._session = session
         self._camera = camera
         self._prefix = prefix
-        self._clock = clock
+        self.clock = clock
         self.rig_payload = rig_payload
         self.beats = 0
         self._publishers: dict[str, zenoh.Publisher] = {}
@@ -67,7 +67,7 @@ class Publisher:
     @property
     def age_key(self) -> tuple[int, int]:
         """Of two servers of one camera the one with the lesser was there first."""
-        return self._clock.started_ns, self._clock.session
+        return self.clock.started_ns, self.clock.session
 
     def publish(self, messages: Iterable[Message], session: int | None = None) -> list[Message]:
         """Stamp every message, by the clock of that session (none: the one in force), and put it: returns them as they
@@ -75,7 +75,7 @@ class Publisher:
         """
         told = []
         for message in messages:
-            out = stamped(message, self._clock.now_ns(session))
+            out = stamped(message, self.clock.now_ns(session))
             self.put(out)
             told.append(out)
         return told
@@ -98,7 +98,7 @@ class Publisher:
 
     def _beat(self) -> None:
         """Tell that the server lives, and its clock."""
-        clock, self.beats = self._clock, self.beats + 1
+        clock, self.beats = self.clock, self.beats + 1
         session = clock.session
         now_ns, monotonic_ns = clock.now_ns(session), clock.monotonic_ns()
         told = pb.Beat(

@@ -108,7 +108,7 @@ def test_bad_input_gets_one_sentence_and_exit_code_2(
         ),
         (("serve", DEMO_RIG, frames, "--rate", "0"), "argument --rate: 0, expected a number above 0"),
         (("serve", DEMO_RIG, frames, "--record-frames", "some"), "argument --record-frames: 'some'"),
-        (("serve", DEMO_RIG, frames, "--zenoh", tmp_path / "none.json5"), "cannot be read as a zenoh configuration"),
+        (("serve", DEMO_RIG, frames, "--zenoh", tmp_path / "none.json5"), "none.json5: no such file"),
         (("watch", "a/b"), "robot id 'a/b' holds '/'"),
         (("watch", "--connect", "127.0.0.1"), "endpoint '127.0.0.1': expected"),
         (("replay", frames), "is no recording"),

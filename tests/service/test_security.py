@@ -17,6 +17,7 @@ from asterism.protocol.codec import encode_odometry
 from asterism.protocol.messages import ODOMETRY, Message
 from asterism.server.service.on_air import OnAir, Place, on_air
 from asterism.server.sources.session_clock import SessionClock
+from tests.clients.serving import COVARIANCE
 from tests.helpers import REPOSITORY
 from tests.protocol.make_golden import RIG, ROBOT_POSE
 from tests.servers import free_endpoint
@@ -67,7 +68,15 @@ def server(options: Path) -> Iterator[OnAir]:
 
 
 def tell(air: OnAir, robot: str = "alpha") -> None:
-    told = replace(ROBOT_POSE, robot=robot, exposed_ns=time.time_ns(), published_ns=0)
+    clock = air.publisher.clock
+    told = replace(
+        ROBOT_POSE,
+        robot=robot,
+        covariance=COVARIANCE,
+        exposed_ns=clock.now_ns(),
+        published_ns=0,
+        session=clock.session,
+    )
     air.publisher.publish([Message(keys.odometry("cam", robot), ODOMETRY, encode_odometry(told), 0, 0, 42)])
 
 
