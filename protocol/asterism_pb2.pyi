@@ -26,6 +26,15 @@ class Fate(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     MASKED: _ClassVar[Fate]
     TOO_FAINT: _ClassVar[Fate]
     MISSHAPEN: _ClassVar[Fate]
+
+class Clock(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    CLOCK_UNSPECIFIED: _ClassVar[Clock]
+    CAMERA: _ClassVar[Clock]
+    DRIVER: _ClassVar[Clock]
+    ARRIVAL: _ClassVar[Clock]
+    FILE: _ClassVar[Clock]
+    PLAYED: _ClassVar[Clock]
 STATE_UNSPECIFIED: State
 TRACKED: State
 TILT_AMBIGUOUS: State
@@ -41,6 +50,12 @@ AT_EDGE: Fate
 MASKED: Fate
 TOO_FAINT: Fate
 MISSHAPEN: Fate
+CLOCK_UNSPECIFIED: Clock
+CAMERA: Clock
+DRIVER: Clock
+ARRIVAL: Clock
+FILE: Clock
+PLAYED: Clock
 
 class Vector3(_message.Message):
     __slots__ = ("x", "y", "z")
@@ -152,7 +167,7 @@ class Learned(_message.Message):
     def __init__(self, led_misfit: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class FrameReport(_message.Message):
-    __slots__ = ("sequence", "exposed_ns", "arrived_ns", "solved_ns", "published_ns", "frame_id", "spots", "robots", "learned")
+    __slots__ = ("sequence", "exposed_ns", "arrived_ns", "solved_ns", "published_ns", "frame_id", "spots", "robots", "learned", "session", "clock")
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     EXPOSED_NS_FIELD_NUMBER: _ClassVar[int]
     ARRIVED_NS_FIELD_NUMBER: _ClassVar[int]
@@ -162,6 +177,8 @@ class FrameReport(_message.Message):
     SPOTS_FIELD_NUMBER: _ClassVar[int]
     ROBOTS_FIELD_NUMBER: _ClassVar[int]
     LEARNED_FIELD_NUMBER: _ClassVar[int]
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    CLOCK_FIELD_NUMBER: _ClassVar[int]
     sequence: int
     exposed_ns: int
     arrived_ns: int
@@ -171,10 +188,28 @@ class FrameReport(_message.Message):
     spots: Spots
     robots: _containers.RepeatedCompositeFieldContainer[RobotReport]
     learned: Learned
-    def __init__(self, sequence: _Optional[int] = ..., exposed_ns: _Optional[int] = ..., arrived_ns: _Optional[int] = ..., solved_ns: _Optional[int] = ..., published_ns: _Optional[int] = ..., frame_id: _Optional[str] = ..., spots: _Optional[_Union[Spots, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RobotReport, _Mapping]]] = ..., learned: _Optional[_Union[Learned, _Mapping]] = ...) -> None: ...
+    session: int
+    clock: Clock
+    def __init__(self, sequence: _Optional[int] = ..., exposed_ns: _Optional[int] = ..., arrived_ns: _Optional[int] = ..., solved_ns: _Optional[int] = ..., published_ns: _Optional[int] = ..., frame_id: _Optional[str] = ..., spots: _Optional[_Union[Spots, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RobotReport, _Mapping]]] = ..., learned: _Optional[_Union[Learned, _Mapping]] = ..., session: _Optional[int] = ..., clock: _Optional[_Union[Clock, str]] = ...) -> None: ...
+
+class Beat(_message.Message):
+    __slots__ = ("session", "sequence", "time_ns", "monotonic_ns", "rate", "started_ns")
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    MONOTONIC_NS_FIELD_NUMBER: _ClassVar[int]
+    RATE_FIELD_NUMBER: _ClassVar[int]
+    STARTED_NS_FIELD_NUMBER: _ClassVar[int]
+    session: int
+    sequence: int
+    time_ns: int
+    monotonic_ns: int
+    rate: float
+    started_ns: int
+    def __init__(self, session: _Optional[int] = ..., sequence: _Optional[int] = ..., time_ns: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., rate: _Optional[float] = ..., started_ns: _Optional[int] = ...) -> None: ...
 
 class Status(_message.Message):
-    __slots__ = ("time_ns", "source", "frames", "frames_dropped", "frames_unreadable", "frames_not_recorded", "rate_hz", "solve_p50_s", "solve_p99_s", "latency_p50_s", "latency_p99_s", "rejected", "robots", "problem")
+    __slots__ = ("time_ns", "source", "frames", "frames_dropped", "frames_unreadable", "frames_not_recorded", "rate_hz", "solve_p50_s", "solve_p99_s", "latency_p50_s", "latency_p99_s", "rejected", "robots", "problem", "messages_not_recorded", "session")
     class RejectedEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -203,6 +238,8 @@ class Status(_message.Message):
     REJECTED_FIELD_NUMBER: _ClassVar[int]
     ROBOTS_FIELD_NUMBER: _ClassVar[int]
     PROBLEM_FIELD_NUMBER: _ClassVar[int]
+    MESSAGES_NOT_RECORDED_FIELD_NUMBER: _ClassVar[int]
+    SESSION_FIELD_NUMBER: _ClassVar[int]
     time_ns: int
     source: str
     frames: int
@@ -217,7 +254,9 @@ class Status(_message.Message):
     rejected: _containers.ScalarMap[str, int]
     robots: _containers.ScalarMap[str, int]
     problem: str
-    def __init__(self, time_ns: _Optional[int] = ..., source: _Optional[str] = ..., frames: _Optional[int] = ..., frames_dropped: _Optional[int] = ..., frames_unreadable: _Optional[int] = ..., frames_not_recorded: _Optional[int] = ..., rate_hz: _Optional[float] = ..., solve_p50_s: _Optional[float] = ..., solve_p99_s: _Optional[float] = ..., latency_p50_s: _Optional[float] = ..., latency_p99_s: _Optional[float] = ..., rejected: _Optional[_Mapping[str, int]] = ..., robots: _Optional[_Mapping[str, int]] = ..., problem: _Optional[str] = ...) -> None: ...
+    messages_not_recorded: int
+    session: int
+    def __init__(self, time_ns: _Optional[int] = ..., source: _Optional[str] = ..., frames: _Optional[int] = ..., frames_dropped: _Optional[int] = ..., frames_unreadable: _Optional[int] = ..., frames_not_recorded: _Optional[int] = ..., rate_hz: _Optional[float] = ..., solve_p50_s: _Optional[float] = ..., solve_p99_s: _Optional[float] = ..., latency_p50_s: _Optional[float] = ..., latency_p99_s: _Optional[float] = ..., rejected: _Optional[_Mapping[str, int]] = ..., robots: _Optional[_Mapping[str, int]] = ..., problem: _Optional[str] = ..., messages_not_recorded: _Optional[int] = ..., session: _Optional[int] = ...) -> None: ...
 
 class RigRobot(_message.Message):
     __slots__ = ("id", "leds", "axis", "points")
@@ -238,8 +277,16 @@ class RigRobot(_message.Message):
     points: _containers.MessageMap[str, Vector3]
     def __init__(self, id: _Optional[str] = ..., leds: _Optional[_Iterable[_Union[Vector3, _Mapping]]] = ..., axis: _Optional[_Union[Vector3, _Mapping]] = ..., points: _Optional[_Mapping[str, Vector3]] = ...) -> None: ...
 
+class Reloads(_message.Message):
+    __slots__ = ("count", "problem")
+    COUNT_FIELD_NUMBER: _ClassVar[int]
+    PROBLEM_FIELD_NUMBER: _ClassVar[int]
+    count: int
+    problem: str
+    def __init__(self, count: _Optional[int] = ..., problem: _Optional[str] = ...) -> None: ...
+
 class RigReport(_message.Message):
-    __slots__ = ("camera", "frame_id", "width", "height", "camera_matrix", "distortion_model", "distortion", "world_camera", "robots", "rig_yaml", "camera_yaml", "offset_yaml")
+    __slots__ = ("camera", "frame_id", "width", "height", "camera_matrix", "distortion_model", "distortion", "world_camera", "robots", "rig_yaml", "camera_yaml", "offset_yaml", "host", "pid", "session", "started_ns", "time_ns", "rate", "version", "reloads", "protocol")
     class OffsetYamlEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -259,6 +306,15 @@ class RigReport(_message.Message):
     RIG_YAML_FIELD_NUMBER: _ClassVar[int]
     CAMERA_YAML_FIELD_NUMBER: _ClassVar[int]
     OFFSET_YAML_FIELD_NUMBER: _ClassVar[int]
+    HOST_FIELD_NUMBER: _ClassVar[int]
+    PID_FIELD_NUMBER: _ClassVar[int]
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    STARTED_NS_FIELD_NUMBER: _ClassVar[int]
+    TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    RATE_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    RELOADS_FIELD_NUMBER: _ClassVar[int]
+    PROTOCOL_FIELD_NUMBER: _ClassVar[int]
     camera: str
     frame_id: str
     width: int
@@ -271,4 +327,13 @@ class RigReport(_message.Message):
     rig_yaml: str
     camera_yaml: str
     offset_yaml: _containers.ScalarMap[str, str]
-    def __init__(self, camera: _Optional[str] = ..., frame_id: _Optional[str] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., camera_matrix: _Optional[_Iterable[float]] = ..., distortion_model: _Optional[str] = ..., distortion: _Optional[_Iterable[float]] = ..., world_camera: _Optional[_Union[Pose, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RigRobot, _Mapping]]] = ..., rig_yaml: _Optional[str] = ..., camera_yaml: _Optional[str] = ..., offset_yaml: _Optional[_Mapping[str, str]] = ...) -> None: ...
+    host: str
+    pid: int
+    session: int
+    started_ns: int
+    time_ns: int
+    rate: float
+    version: str
+    reloads: Reloads
+    protocol: int
+    def __init__(self, camera: _Optional[str] = ..., frame_id: _Optional[str] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., camera_matrix: _Optional[_Iterable[float]] = ..., distortion_model: _Optional[str] = ..., distortion: _Optional[_Iterable[float]] = ..., world_camera: _Optional[_Union[Pose, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RigRobot, _Mapping]]] = ..., rig_yaml: _Optional[str] = ..., camera_yaml: _Optional[str] = ..., offset_yaml: _Optional[_Mapping[str, str]] = ..., host: _Optional[str] = ..., pid: _Optional[int] = ..., session: _Optional[int] = ..., started_ns: _Optional[int] = ..., time_ns: _Optional[int] = ..., rate: _Optional[float] = ..., version: _Optional[str] = ..., reloads: _Optional[_Union[Reloads, _Mapping]] = ..., protocol: _Optional[int] = ...) -> None: ...

@@ -8,7 +8,7 @@ import numpy as np
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, frozen_array
 from asterism.protocol.keys import key_problem
-from asterism.protocol.yaml_file import Section, parse_yaml, read_yaml
+from asterism.protocol.yaml_file import Section, describe, parse_yaml, read_yaml
 
 # Coefficients that each model takes, in OpenCV's order.
 DISTORTION_MODELS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
@@ -102,7 +102,7 @@ def _camera(section: Section) -> Camera:
     height = section.integer("image_height", 16, 65_535)
     name = section.text("camera_name")
     if problem := key_problem(name):
-        raise section.error("camera_name", f"{name!r} {problem}; it becomes part of a zenoh key")
+        raise section.error("camera_name", f"{describe(name)} {problem}; it becomes part of a zenoh key")
     matrix = np.array(_matrix(section, "camera_matrix", 3, 3)).reshape(3, 3)
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
         raise section.error(

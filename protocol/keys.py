@@ -1,6 +1,8 @@
 """The zenoh keys: one function a key, so that no other module spells them."""
 
 PREFIX = "asterism"
+REPLAY = "replay/"  # before every key of a replay
+LONGEST_NAME = 128  # bytes, of a camera, robot or point
 
 # What a client of one robot, of any camera, subscribes to is `odometry("*", robot)`.
 
@@ -23,6 +25,11 @@ def rig(camera: str) -> str:
 def status(camera: str) -> str:
     """Health, once a second."""
     return f"{PREFIX}/{camera}/status"
+
+
+def beat(camera: str) -> str:
+    """The server's beat, five times a second, whatever its camera does."""
+    return f"{PREFIX}/{camera}/beat"
 
 
 def alive(camera: str) -> str:
@@ -62,6 +69,8 @@ def key_problem(name: str) -> str | None:
         return "is empty, expected at least one character"
     if name.startswith("@"):
         return "begins with '@', which zenoh keeps for itself"
+    if len(name.encode(errors="replace")) > LONGEST_NAME:
+        return f"is longer than {LONGEST_NAME} bytes; files and folders are named after it"
     bad = sorted({char for char in name if char in "/*$?#" or not char.isprintable()})
     if bad:
         return f"holds {' '.join(repr(char) for char in bad)}, expected none of / * $ ? # and no control characters"

@@ -10,6 +10,9 @@ from asterism.protocol.geometry import Floats, Pose
 
 State = pb.State
 Fate = pb.Fate
+Clock = pb.Clock
+
+PROTOCOL = 2  # of these messages, told by every rig reply and recording; a message that tells none is of 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +31,7 @@ class Kind:
 ODOMETRY = Kind("foxglove.Odometry", on_wire=True)
 FRAME_REPORT = Kind("asterism.FrameReport", on_wire=True)
 STATUS = Kind("asterism.Status", on_wire=True)
+BEAT = Kind("asterism.Beat", on_wire=True)
 RIG_REPORT = Kind("asterism.RigReport", on_wire=True)
 TRANSFORMS = Kind("foxglove.FrameTransforms", on_wire=False)
 ANNOTATIONS = Kind("foxglove.ImageAnnotations", on_wire=False)
@@ -37,7 +41,10 @@ IMAGE = Kind("foxglove.RawImage", on_wire=False)
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message. Times are ns since the Unix epoch; ``log_ns`` is the mid-exposure of what it tells about."""
+    """One message. Times are ns since the Unix epoch; ``log_ns`` is the mid-exposure of what it tells about.
+
+    ``publish_ns`` is 0 until the message goes out: `codec.stamped` enters it, there and in the payload.
+    """
 
     key: str
     kind: Kind
@@ -48,13 +55,29 @@ class Message:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Velocity:
+    """How a robot moves, in its own frame: what foxglove.Odometry calls its twist.
+
+    ``linear`` (3,) m/s, of the robot's origin; ``angular`` (3,) rad/s; ``covariance`` (6, 6) of both.
+    ``accelerations`` are what the filter takes for possible: power spectral densities of white acceleration, m^2/s^3,
+    and of the turn's, rad^2/s^3.
+    """
+
+    linear: Floats
+    angular: Floats
+    covariance: Floats
+    accelerations: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class RobotPose:
     """One robot in one frame, as its odometry message tells it.
 
     ``pose`` is T_<frame_id>_<robot>; ``covariance`` (6, 6) in m and rad: x, y, z, rotation about x, y, z of the
     parent frame; ``state`` is TRACKED or TILT_AMBIGUOUS; ``smoothed_by`` names the filter that joined the pose to those
-    of frames before, empty where the pose rests on this frame alone; ``extrapolated``: the rig corrects Z, but no
-    surveyed pose was near, so the correction is faded or cut off.
+    of frames before, empty where the pose rests on this frame alone: only that filter knows a ``velocity``;
+    ``extrapolated``: the rig corrects Z, but no surveyed pose was near, so the correction is faded or cut off;
+    ``session`` is the server's, 0 where frames were solved again; ``published_ns`` 0 where it did not go out.
     """
 
     robot: str
@@ -67,8 +90,10 @@ class RobotPose:
     sequence: int
     exposed_ns: int
     published_ns: int
+    session: int = field(default=0, kw_only=True)
     smoothed_by: str = field(default="", kw_only=True)
     extrapolated: bool = field(default=False, kw_only=True)
+    velocity: Velocity | None = field(default=None, kw_only=True)
 
     @property
     def position(self) -> Floats:

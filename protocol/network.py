@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from asterism.protocol.errors import InputError, WorldError
+from asterism.protocol.keys import PREFIX, REPLAY
+from asterism.protocol.text_file import read_text
 
 if TYPE_CHECKING:
     import zenoh
@@ -23,16 +25,44 @@ _DEEPEST = 100  # levels of a configuration; zenoh's own has six
 
 # With the default of 2 a publisher loses messages when the processor is busy; 16 lost none (measured).
 _TX_QUEUE = 16
+# Odometry has a queue of its own, so short that over a slow link it is dropped rather than told late: two batches, and
+# what the kernel holds for a socket (twice the number given to it). On a fast link nothing was lost (measured).
+ODOMETRY_PRIORITY = "INTERACTIVE_HIGH"
+_ODOMETRY_QUEUE = 2
+_BATCH_BYTES = 16_384
+_SOCKET_BYTES = 32_768
+# Who opens a connection and says nothing holds one of the places of those that wait; by default new clients wait 10 s.
+_ACCEPT_TIMEOUT_MS = 1500
+_ACCEPT_PENDING = 1000
+# What comes in through a server's own listener is never told under its keys: everything else passes.
+_OWN_KEYS_ONLY = {
+    "enabled": True,
+    "default_permission": "allow",
+    "rules": [
+        {
+            "id": "only the server speaks",
+            "permission": "deny",
+            "flows": ["ingress"],
+            "messages": ["put", "delete", "declare_queryable", "reply", "liveliness_token"],
+            "key_exprs": [f"{PREFIX}/**", f"{REPLAY}{PREFIX}/**"],
+        }
+    ],
+    "subjects": [{"id": "everybody"}],
+    "policies": [{"rules": ["only the server speaks"], "subjects": ["everybody"]}],
+}
 _RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 
 
 def server_config(listen: str | None = None, connect: str | None = None, options: Path | None = None) -> "zenoh.Config":
     """A peer that listens on ``listen`` (default: loopback), or a client of ``connect``.
 
-    ``options`` is a JSON5 file of zenoh options; what it says holds, unless an argument says otherwise. Raises
+    ``options`` is a JSON5 file of zenoh options; what it says holds, unless an argument says otherwise. Through its own
+    listener nobody else can speak under Asterism's keys, unless the file has an `access_control` of its own. Raises
     InputError for a file that is no zenoh configuration.
     """
     config = _base(options)
+    _default(config, f"transport/link/tx/queue/size/{ODOMETRY_PRIORITY.lower()}", _ODOMETRY_QUEUE, _TX_QUEUE)
+    _default(config, "transport/link/tx/batch_size", _BATCH_BYTES)
     if connect is not None:
         _set(config, "mode", "client")
         _set(config, "connect/endpoints", [connect])
@@ -41,9 +71,27 @@ def server_config(listen: str | None = None, connect: str | None = None, options
     _default(config, "mode", "peer")
     if listen is not None:
         _set(config, "listen/endpoints", [listen])
+    elif config.get_json("mode") == '"client"':
+        _default(config, "listen/endpoints", [])
     else:
-        _default(config, "listen/endpoints", [] if config.get_json("mode") == '"client"' else [DEFAULT_ENDPOINT])
+        _default(config, "listen/endpoints", [DEFAULT_ENDPOINT])
+    if config.get_json("mode") != '"client"':
+        _default(config, "access_control", _OWN_KEYS_ONLY)
+        _default(config, "transport/unicast/accept_timeout", _ACCEPT_TIMEOUT_MS)
+        _default(config, "transport/unicast/accept_pending", _ACCEPT_PENDING)
     return config
+
+
+def short_of_buffer(endpoint: str) -> str:
+    """The endpoint with a small buffer for sending, where it says nothing of it itself."""
+    if endpoint.partition("/")[0] not in ("tcp", "tls") or "so_sndbuf" in endpoint:
+        return endpoint
+    return f"{endpoint}{';' if '#' in endpoint else '#'}so_sndbuf={_SOCKET_BYTES}"
+
+
+def joins(connect: str | None, options: Path | None) -> bool:
+    """Whether a server with these arguments joins what is there, instead of listening itself."""
+    return connect is not None or server_config(None, None, options).get_json("mode") == '"client"'
 
 
 def client_config(connect: str | None = None, options: Path | None = None) -> "zenoh.Config":
@@ -68,12 +116,10 @@ def _base(options: Path | None) -> "zenoh.Config":
         config = zenoh.Config()
     else:
         try:
-            text = options.read_text(encoding="utf-8")
+            text = read_text(options, "a zenoh configuration in JSON5")
             if _depth(text) > _DEEPEST:  # its parser would end the process
                 raise InputError(f"{options}: is nested too deeply, expected a zenoh configuration in JSON5")
             config = zenoh.Config.from_json5(text)
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"{options}: cannot be read as a zenoh configuration ({error})") from None
         except zenoh.ZError as error:
             raise InputError(f"{options}: is no zenoh configuration in JSON5 ({_short(error)})") from None
     _default(config, "scouting/multicast/enabled", False)
@@ -88,11 +134,11 @@ def _depth(text: str) -> int:
     return max(accumulate(text, lambda depth, char: depth + (char in "[{") - (char in "]}"), initial=0))
 
 
-def _default(config: "zenoh.Config", key: str, value: object) -> None:
-    """Set what the user's file left as zenoh has it."""
+def _default(config: "zenoh.Config", key: str, value: object, ours: object = None) -> None:
+    """Set what the user's file left as zenoh has it, or what is ``ours`` already."""
     import zenoh
 
-    if config.get_json(key) == zenoh.Config().get_json(key):
+    if config.get_json(key) in (zenoh.Config().get_json(key), json.dumps(ours)):
         _set(config, key, value)
 
 
@@ -119,6 +165,10 @@ def open_server(listen: str | None = None, connect: str | None = None, options: 
         if endpoint is not None:
             check_endpoint(endpoint)
     config = server_config(listen, connect, options)
+    for key in ("listen/endpoints", "connect/endpoints"):
+        endpoints = json.loads(config.get_json(key))
+        if isinstance(endpoints, list):
+            _set(config, key, [short_of_buffer(endpoint) for endpoint in endpoints])
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:

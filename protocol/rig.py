@@ -22,7 +22,8 @@ from asterism.protocol.rig_hints import (
     in_metres,
     refuse_millimetres,
 )
-from asterism.protocol.yaml_file import Section, parse_yaml, read_yaml
+from asterism.protocol.text_file import read_text
+from asterism.protocol.yaml_file import Section, describe, parse_yaml, read_yaml
 from asterism.protocol.z_correction import ZCorrection, read_correction
 
 RIG_KEYS = ("camera", "range", "masks", "centre", "capture", "world", "z_correction", "robots")
@@ -130,11 +131,11 @@ def load_rig(path: str | Path) -> Rig:
         file = path.parent / name
         if not file.is_file():
             raise led.error("offset", f"there is no file {file}, expected one that asterism calibrate offset wrote")
-        read_yaml(file)
-        return file.read_text(encoding="utf-8")
+        return read_text(file, "a file that asterism calibrate offset wrote")
 
     camera = load_camera(camera_path)
-    return _rig(section, camera, path.read_text(encoding="utf-8"), camera_path.read_text(encoding="utf-8"), offset_text)
+    texts = read_text(path, "a rig"), read_text(camera_path, "a camera_info calibration file")
+    return _rig(section, camera, *texts, offset_text)
 
 
 def parse_rig(rig_text: str, camera_text: str, name: str, offset_texts: Mapping[str, str] | None = None) -> Rig:
@@ -245,7 +246,7 @@ def _world(section: Section) -> Pose:
 
 def _robot(name: str, section: Section, T_world_camera: Pose | None, offset_text: _OffsetText) -> Robot:
     if problem := key_problem(name):
-        raise section.error(None, f"the robot's id {name!r} {problem}; it becomes part of a zenoh key")
+        raise section.error(None, f"the robot's id {describe(name)} {problem}; it becomes part of a zenoh key")
     section.only(("leds", "led", "points", "normal"), ROBOT_WORDS)
     leds = _leds(section)
     axis, radius, offset = np.array([0.0, 0.0, 1.0]), None, None
@@ -278,7 +279,7 @@ def _robot(name: str, section: Section, T_world_camera: Pose | None, offset_text
         inner = section.section("points")
         for key in inner.values:
             if problem := key_problem(key):
-                raise inner.error(None, f"the point's name {key!r} {problem}")
+                raise inner.error(None, f"the point's name {describe(key)} {problem}")
             points[key] = _point(inner, key, leds)
     prior = None
     if "normal" in section:

@@ -11,6 +11,9 @@ from types import MappingProxyType
 from typing import Any
 
 from asterism.protocol.errors import InputError
+from asterism.protocol.text_file import read_text
+
+_LONG = 200
 
 
 def read_yaml(path: Path) -> "Section":
@@ -18,17 +21,7 @@ def read_yaml(path: Path) -> "Section":
 
     Raises InputError when the file is missing, unreadable, no YAML or no mapping.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder, expected a YAML file") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is no text in UTF-8, expected a YAML file") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    return parse_yaml(text, str(path))
+    return parse_yaml(read_text(path, "a YAML file"), str(path))
 
 
 def parse_yaml(text: str, name: str) -> "Section":
@@ -40,15 +33,18 @@ def parse_yaml(text: str, name: str) -> "Section":
     try:
         values = YAML(typ="safe", pure=True).load(text)
     except DuplicateKeyError as error:
-        key = str(error.problem).split('"')[1]
+        key = shortened(str(error.problem).split('"')[1])
         raise InputError(f"{name}: line {_line(error)}: key '{key}' is given twice, expected once") from None
     except MarkedYAMLError as error:
-        problem = " ".join(str(error.problem).split())
+        problem = shortened(" ".join(str(error.problem).split()), _LONG)
         raise InputError(f"{name}: line {_line(error)}: is no YAML: {problem}") from None
     except YAMLError as error:
-        raise InputError(f"{name}: is no YAML: {' '.join(str(error).split())}") from None
+        raise InputError(f"{name}: is no YAML: {shortened(' '.join(str(error).split()), _LONG)}") from None
     except RecursionError:
         raise InputError(f"{name}: is nested too deeply, expected a YAML mapping of a few levels") from None
+    except Exception as error:  # dates, numbers, escapes and directives that its constructors trip over
+        problem = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{name}: holds a value that is none in YAML ({shortened(problem)})") from None
     if values is None:
         raise InputError(f"{name}: is empty, expected a YAML mapping")
     return Section(values, name, "")
@@ -69,7 +65,7 @@ class Section:
             raise self.error(None, f"{describe(values)}, expected a mapping of keys to values")
         for key in values:
             if not isinstance(key, str):
-                raise self.error(None, f"key {key!r} is {describe(key)}, expected text; put it in quotes")
+                raise self.error(None, f"key {describe(key)} is no text, expected text; put it in quotes")
         self.values: dict[str, Any] = values
 
     def __contains__(self, key: str) -> bool:
@@ -77,7 +73,7 @@ class Section:
 
     def path(self, key: str | None) -> str:
         """The dotted path of a key, for sentences."""
-        return ".".join(part for part in (self.where, key) if part)
+        return ".".join(shortened(part) for part in (self.where, key) if part)
 
     def error(self, key: str | None, text: str) -> InputError:
         """An InputError that names file and key."""
@@ -86,8 +82,9 @@ class Section:
 
     def only(self, allowed: Collection[str], words: Mapping[str, str] = MappingProxyType({})) -> None:
         """Refuse keys that are not in ``allowed``, suggesting what ``words`` has for them, else the nearest."""
-        for key in self.values:
-            if key not in allowed:
+        for given in self.values:
+            if given not in allowed:
+                key = shortened(given)
                 meant = words.get(key.lower().replace("-", "_").replace(" ", "_"))
                 near = [meant] if meant else difflib.get_close_matches(key.lower(), allowed, n=1, cutoff=0.5)
                 hint = f"did you mean '{near[0]}'? " if near else ""
@@ -164,7 +161,12 @@ class Section:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number of more than 308 digits
+        return False
 
 
 def describe(value: object) -> str:
@@ -175,5 +177,12 @@ def describe(value: object) -> str:
         return f"a mapping of {len(value)} keys"
     if isinstance(value, list):
         return f"a list of {len(value)} values"
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+    try:
+        return shortened(repr(value))
+    except ValueError:  # a whole number of more than 4300 digits
+        return "a number of thousands of digits"
+
+
+def shortened(text: str, most: int = 60) -> str:
+    """At most so many characters of a text."""
+    return text if len(text) <= most else text[: most - 3] + "..."

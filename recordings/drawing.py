@@ -30,7 +30,7 @@ from asterism.recordings import overlay
 from asterism.recordings.plates import TO_THE_CAMERA, plate_outline, roll_pitch_yaw_deg
 from asterism.recordings.png_image import png
 from asterism.recordings.robot_table import robot_table
-from asterism.recordings.scene import STATE_COLOURS, name_place, place_scene, robot_colours
+from asterism.recordings.scene import STATE_COLOURS, name_place, part, place_scene, robot_colours
 
 APPLICATION = "asterism"
 TRAIL = 600  # positions kept of every robot's path
@@ -100,11 +100,11 @@ class Drawing:
 
     def _state(self, robot: "pb.RobotReport") -> None:
         """What changes with the robot's state: the timeline, its name in space, and whether it is there at all."""
-        state, path = State.Name(robot.state), f"world/robots/{robot.id}"
+        state, path = State.Name(robot.state), f"world/robots/{part(robot.id)}"
         if self._states.get(robot.id) == state:
             return
         self._states[robot.id] = state
-        self._stream.log(f"states/{robot.id}", rr.StateChange(state=state))
+        self._stream.log(f"states/{part(robot.id)}", rr.StateChange(state=state))
         if robot.HasField("pose"):
             colour = self._colours[robot.id] if robot.state == pb.TRACKED else STATE_COLOURS[state]
             name = rr.Points3D(
@@ -120,21 +120,21 @@ class Drawing:
         self._stream.log(path, rr.Transform3D(scale=[0.0, 0.0, 0.0]))
         self._stream.log(f"{path}/name", rr.Clear(recursive=False))
         for plot in ("position", "angles", "residual"):
-            self._stream.log(f"plots/{plot}/{robot.id}", rr.Clear(recursive=True))
+            self._stream.log(f"plots/{plot}/{part(robot.id)}", rr.Clear(recursive=True))
 
     def _place(self, robot: str, pose: Pose) -> None:
         self._stream.log(
-            f"world/robots/{robot}",
+            f"world/robots/{part(robot)}",
             rr.Transform3D(translation=pose.position, quaternion=rr.Quaternion(xyzw=pose.orientation), scale=1.0),
         )
         trail = self._trails[robot]
         trail.append(pose.position)
         if len(trail) % 5 == 0 or len(trail) == TRAIL:
             path = rr.LineStrips3D([np.array(trail)], colors=self._colours[robot], radii=rr.Radius.ui_points(1.0))
-            self._stream.log(f"world/paths/{robot}", path)
+            self._stream.log(f"world/paths/{part(robot)}", path)
 
     def _alternative(self, robot: "pb.RobotReport") -> None:
-        path = f"world/alternatives/{robot.id}"
+        path = f"world/alternatives/{part(robot.id)}"
         if not robot.HasField("alternative"):
             if robot.id in self._two_tilts:
                 self._two_tilts.remove(robot.id)
@@ -155,13 +155,13 @@ class Drawing:
 
     def _plot(self, robot: "pb.RobotReport", pose: Pose, angles: Floats) -> None:
         for axis, value in zip("xyz", pose.position.tolist(), strict=True):
-            self._scalar(f"plots/position/{robot.id}/{axis}", value)
+            self._scalar(f"plots/position/{part(robot.id)}/{axis}", value)
         turned = np.abs(angles - self._angles.get(robot.id, angles))
         for name, value, jump in zip(("roll", "pitch", "yaw"), angles.tolist(), turned.tolist(), strict=True):
-            path = f"plots/angles/{robot.id}/{name}"
+            path = f"plots/angles/{part(robot.id)}/{name}"
             self._stream.log(path, rr.Scalars(value) if jump < HALF_TURN_DEG else rr.Clear(recursive=False))
         self._angles[robot.id] = angles
-        self._scalar(f"plots/residual/{robot.id}", robot.rms_px)
+        self._scalar(f"plots/residual/{part(robot.id)}", robot.rms_px)
 
 
 def _name_of(robot: "pb.RobotReport") -> str:

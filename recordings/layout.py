@@ -6,7 +6,7 @@ from rerun.encodings import Plane3D
 
 from asterism.protocol.geometry import Pose
 from asterism.protocol.rig import Rig
-from asterism.recordings.scene import working_range
+from asterism.recordings.scene import part, working_range
 
 GRID_M = 0.1
 TOWARDS_THE_CAMERA = np.array([0.0, 0.0, -1.0])
@@ -63,10 +63,10 @@ def space_view(rig: Rig) -> rrb.Spatial3DView:
 
 def _robot_plots(robot: str) -> rrb.Grid:
     """Plots of one line each, so that there is no legend to cover anything; two lines where their title names them."""
-    position, angles = f"plots/position/{robot}", f"plots/angles/{robot}"
+    position, angles = f"plots/position/{part(robot)}", f"plots/angles/{part(robot)}"
     return rrb.Grid(
         *(_plot(f"{position}/{axis}", f"{axis}, m") for axis in "xyz"),
-        _plot(f"plots/residual/{robot}", "rms, px"),
+        _plot(f"plots/residual/{part(robot)}", "rms, px"),
         *(_plot(f"{angles}/{angle}", f"{angle}, deg") for angle in ("roll", "pitch", "yaw")),
         _plot("plots/latency", "latency, ms"),
         grid_columns=4,

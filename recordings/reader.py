@@ -1,21 +1,32 @@
-"""Reading a recording: its messages in the order of time, its frames, its rig."""
+"""Reading a recording: its messages in the order in which they were written, its frames, its rig.
 
+That is the order of the frames, also where the server's clock was set. Files are read from front to back; what is
+damaged is refused with a hint to `recover`.
+"""
+
+import os
 from collections.abc import Iterator
-from heapq import merge
+from itertools import chain, islice, pairwise
 from pathlib import Path
+from statistics import median
+from typing import BinaryIO
 
 import numpy as np
-from mcap.exceptions import McapError
-from mcap.reader import SeekingReader
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema, Statistics
 from numpy.typing import NDArray
 
 from asterism.protocol.codec import decode_image
 from asterism.protocol.errors import InputError
-from asterism.protocol.messages import Kind, Message
+from asterism.protocol.messages import PROTOCOL, STATUS, Kind, Message
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, parse_rig
-from asterism.recordings.index import begins_as_mcap, is_complete
-from asterism.recordings.series import OFFSET_KEY
+from asterism.recordings.records import MAGIC, Damaged, read_metadata
+from asterism.recordings.summary_check import check_index, read_at
+from asterism.recordings.told import METADATA, OFFSET_KEY, is_sound
+from asterism.recordings.walk import Gap, opened, walk
+
+RATE_FRAMES = 50  # whose spacing tells the rate
 
 
 def recording_files(path: Path) -> tuple[list[Path], list[Path]]:
@@ -24,8 +35,11 @@ def recording_files(path: Path) -> tuple[list[Path], list[Path]]:
         raise InputError(f"{path}: there is no such recording")
     if not path.is_dir():
         raise InputError(f"{path}: is a file, expected a recording's folder (with poses-0001.mcap in it)")
-    poses, frames = sorted(path.glob("poses-*.mcap")), sorted(path.glob("frames-*.mcap"))
-    if not poses:
+    poses, frames = (
+        sorted(path.glob(f"{stem}-*.mcap"), key=lambda file: (len(file.name), file.name))
+        for stem in ("poses", "frames")
+    )
+    if not poses and not frames:
         raise InputError(f"{path}: is no recording, expected a folder with poses-0001.mcap in it")
     return poses, frames
 
@@ -33,20 +47,20 @@ def recording_files(path: Path) -> tuple[list[Path], list[Path]]:
 class Recording:
     """A recording's folder, opened for reading.
 
-    Raises InputError when it is no recording, or was cut off and not recovered.
+    Raises InputError when it is no recording, was cut off or damaged and not recovered, or is of a newer version.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._poses, self._frames = recording_files(path)
-        for file in self._poses + self._frames:
-            if not begins_as_mcap(file):
-                raise InputError(f"{file}: is no MCAP file, expected what asterism recorded")
-            if not is_complete(file):
-                raise InputError(
-                    f"{file}: was cut off (its server was killed?); run this first: {typed('recover', path)}"
-                )
+        self._statistics = {file: self._check(file) for file in self._poses + self._frames}
         self.metadata = self._read_metadata()
+        protocol = self.metadata.get("protocol", "1")  # which version 0.1 did not tell
+        if not protocol.isdecimal() or int(protocol) > PROTOCOL:
+            raise InputError(
+                f"{path}: holds messages of protocol {protocol[:20]}, this program reads those up to {PROTOCOL}; "
+                "a newer version of it does"
+            )
 
     def rig(self) -> Rig:
         """The rig that was in force. Raises InputError if the recording does not hold it."""
@@ -59,68 +73,96 @@ class Recording:
             raise InputError(f"{self.path}: holds no {missing}; it was not recorded by asterism") from None
 
     def messages(self) -> Iterator[Message]:
-        """Everything but the images, in the order of `log_time`, then as it was written."""
-        for file in self._poses:
-            yield from _messages(file)
+        """Everything but the images, as it was written."""
+        return chain.from_iterable(self._messages(file) for file in self._poses)
 
     def messages_and_images(self) -> Iterator[Message]:
-        """Everything, in the order of `log_time`; an image comes before what was made of it."""
-        images = (message for file in self._frames for message in _messages(file))
-        yield from merge(images, self.messages(), key=lambda message: message.log_ns)
+        """Everything; an image comes before what was made of it."""
+        images = self._images()
+        image = next(images, None)
+        for message in self.messages():
+            # A status counts itself, everything else tells its frame's number.
+            while image is not None and message.kind.schema != STATUS.schema and image.sequence <= message.sequence:
+                yield image
+                image = next(images, None)
+            yield message
+        if image is not None:
+            yield from chain([image], images)
 
     def frames(self) -> Iterator[tuple[NDArray[np.uint8], int, int]]:
         """Images (h, w) uint8 with their mid-exposure in ns and their number."""
-        for file in self._frames:
-            for message in _messages(file):
-                yield decode_image(message.payload), message.log_ns, message.sequence
+        for message in self._images():
+            yield decode_image(message.payload), message.log_ns, message.sequence
 
     def count_frames(self) -> int:
         """How many images the recording holds."""
-        return sum(_summary_of(file)[0] for file in self._frames)
+        return sum(self._statistics[file].message_count for file in self._frames)
 
-    def frames_span_ns(self) -> int:
-        """Time between the first and the last image."""
-        spans = [_summary_of(file)[1:] for file in self._frames]
-        return max(last for _, last in spans) - min(first for first, _ in spans) if spans else 0
+    def frame_rate_hz(self) -> float | None:
+        """By the spacing of the first images; None where there are too few."""
+        times = [message.log_ns for message in islice(self._images(), RATE_FRAMES)]
+        steps = [after - before for before, after in pairwise(times) if after > before]
+        return 1e9 / median(steps) if steps else None
 
     def count_messages(self) -> int:
         """How many messages there are beside the images."""
-        return sum(_summary_of(file)[0] for file in self._poses)
+        return sum(self._statistics[file].message_count for file in self._poses)
+
+    def _images(self) -> Iterator[Message]:
+        return chain.from_iterable(self._messages(file) for file in self._frames)
+
+    def _check(self, file: Path) -> Statistics:
+        with opened(file) as stream:
+            begin = read_at(stream, 0, len(MAGIC))
+            if begin and begin != MAGIC[: len(begin)]:
+                raise InputError(f"{file}: is no MCAP file, expected what asterism recorded; {self._hint()}")
+            try:
+                return check_index(stream)
+            except Damaged as damage:
+                if _ends_as_mcap(stream):
+                    raise InputError(f"{file}: is damaged ({damage}); {self._hint()}") from None
+                raise InputError(f"{file}: was cut off (its server was killed?); {self._hint()}") from None
+
+    def _hint(self) -> str:
+        return f"run this first: {typed('recover', self.path)}"
 
     def _read_metadata(self) -> dict[str, str]:
-        found: dict[str, str] = {}
-        with self._poses[0].open("rb") as stream:
-            for entry in SeekingReader(stream).iter_metadata():
-                if entry.name == "asterism":
-                    found.update(entry.metadata)
-        return found
+        """From the first file that has it. Raises InputError where that is damaged."""
+        for file in self._poses + self._frames:
+            with opened(file) as stream:
+                for part in walk(stream):
+                    if isinstance(part, Gap) or part.opcode in (Opcode.CHUNK, Opcode.DATA_END):
+                        break
+                    if part.opcode == Opcode.METADATA and (told := read_metadata(part.body)).name == METADATA:
+                        if is_sound(told.metadata):
+                            return dict(told.metadata)
+                        raise InputError(f"{file}: is damaged (its metadata); {self._hint()}")
+        return {}
+
+    def _messages(self, file: Path) -> Iterator[Message]:
+        schemas: dict[int, Schema] = {}
+        channels: dict[int, Channel] = {}
+        with opened(file) as stream:
+            for part in walk(stream):
+                if isinstance(part, Gap) or part.amiss:
+                    why = part.why if isinstance(part, Gap) else "a chunk's head"
+                    raise InputError(f"{file}: is damaged ({why}); {self._hint()}")
+                if part.opcode == Opcode.DATA_END:
+                    return
+                if part.unpacked is None:
+                    continue
+                schemas |= part.unpacked.schemas
+                channels |= part.unpacked.channels
+                for told in part.unpacked.messages:
+                    channel = channels.get(told.channel)
+                    if channel is None:
+                        raise InputError(f"{file}: is damaged (a message without its channel); {self._hint()}")
+                    schema = schemas.get(channel.schema_id)
+                    kind = Kind(schema.name if schema else "", channel.metadata.get("on_wire") == "yes")
+                    payload = bytes(told.data)
+                    yield Message(channel.topic, kind, payload, told.log_ns, told.publish_ns, told.sequence)
 
 
-def _messages(file: Path) -> Iterator[Message]:
-    kinds: dict[int, Kind] = {}
-    with file.open("rb") as stream:
-        try:
-            for schema, channel, message in SeekingReader(stream, validate_crcs=True).iter_messages():
-                if channel.id not in kinds:
-                    name = schema.name if schema is not None else ""
-                    kinds[channel.id] = Kind(name, channel.metadata.get("on_wire") == "yes")
-                yield Message(
-                    channel.topic,
-                    kinds[channel.id],
-                    message.data,
-                    message.log_time,
-                    message.publish_time,
-                    message.sequence,
-                )
-        except (McapError, ValueError, RuntimeError) as error:
-            raise InputError(f"{file}: is damaged ({error})") from None
-
-
-def _summary_of(file: Path) -> tuple[int, int, int]:
-    """Messages, first and last time."""
-    with file.open("rb") as stream:
-        summary = SeekingReader(stream).get_summary()
-    if summary is None or summary.statistics is None:
-        return 0, 0, 0
-    statistics = summary.statistics
-    return statistics.message_count, statistics.message_start_time, statistics.message_end_time
+def _ends_as_mcap(stream: BinaryIO) -> bool:
+    size = stream.seek(0, os.SEEK_END)
+    return read_at(stream, max(size - len(MAGIC), len(MAGIC)), len(MAGIC)) == MAGIC

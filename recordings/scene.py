@@ -43,6 +43,12 @@ def place_scene(stream: rr.RecordingStream, rig: Rig) -> None:
         stream.log(path, rr.SeriesLines(names=name, colors=colour), static=True)
 
 
+def part(name: str) -> str:
+    """A robot's id as one part of an entity's path, whatever characters it holds."""
+    escaped: str = rr.escape_entity_path_part(name)
+    return escaped
+
+
 def working_range(rig: Rig) -> tuple[float, float]:
     """Nearest and farthest distance at which robots are expected, m."""
     return rig.range_m or (1.0, 1.5)
@@ -84,7 +90,7 @@ def _place_camera(stream: rr.RecordingStream, rig: Rig) -> None:
 
 
 def _place_robot(stream: rr.RecordingStream, robot: Robot, colour: Colour) -> None:
-    path, outline = f"world/robots/{robot.id}", plate_outline(robot)
+    path, outline = f"world/robots/{part(robot.id)}", plate_outline(robot)
     edge = np.vstack([outline, outline[:1]])
     mast = np.stack([robot.T_robot_plane.position, name_place(robot)])
     fan = [(0, k, k + 1) for k in range(1, len(outline) - 1)]
@@ -117,10 +123,10 @@ def _place_plots(stream: rr.RecordingStream, robot: str, colour: Colour) -> None
         stream.log(path, rr.SeriesLines(names=name, colors=tint), static=True)
 
     for name, tint in zip("xyz", AXES, strict=True):
-        line(f"plots/position/{robot}/{name}", f"{name}, m", tint)
+        line(f"plots/position/{part(robot)}/{name}", f"{name}, m", tint)
     for name, tint in zip(("roll", "pitch", "yaw"), AXES, strict=True):
-        line(f"plots/angles/{robot}/{name}", f"{name}, deg", tint)
-    line(f"plots/residual/{robot}", f"{robot}: rms, px", colour)
+        line(f"plots/angles/{part(robot)}/{name}", f"{name}, deg", tint)
+    line(f"plots/residual/{part(robot)}", f"{robot}: rms, px", colour)
     states = list(STATE_COLOURS)
     looks = rr.StateConfiguration(values=states, labels=states, colors=np.array(list(STATE_COLOURS.values()), np.uint8))
-    stream.log(f"states/{robot}", looks, static=True)
+    stream.log(f"states/{part(robot)}", looks, static=True)

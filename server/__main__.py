@@ -1,12 +1,14 @@
 """The command line: `asterism COMMAND ...`. Only what a command needs is imported, so `--help` is there at once."""
 
 import argparse
+import contextlib
 import errno
 import logging
 import shlex
+import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from asterism import __version__
 from asterism.protocol.errors import InputError, WorldError
@@ -29,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Names of files may be no UTF-8, and terminals may know less than UTF-8.
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
-    with telling() as told:
+    with telling() as told, _in_one_go(alone=arguments is None):
         options = argparse.Namespace(out=None)
         try:
             parser(words).parse_args(words, options)
@@ -43,6 +45,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if text:
                 complain(" ".join("; ".join([text, *notes]).split("\n")))
             return code
+
+
+@contextlib.contextmanager
+def _in_one_go(alone: bool) -> Iterator[None]:
+    """Where this is the process' only work: once it is done, one more Ctrl-C cannot disturb how Python ends."""
+    yield
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if alone and hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
 
 
 def _run(options: argparse.Namespace, words: list[str], told: Telling) -> int:

@@ -30,7 +30,16 @@ from tests.servers import asterism, free_endpoint, running
 CAMERA = (DEMO_RIG.parent / "camera.yaml").read_text()
 ENDPOINT = "tcp/127.0.0.1:7447"
 RECORDING = "recordings/demo-20261123T101500Z"
-OTHERS = ("make", "pip", "git", "cd", "v4l2-ctl", ".venv/bin/python")  # what pages run beside asterism
+OTHERS = (
+    "make",
+    "pip",
+    "git",
+    "cd",
+    "v4l2-ctl",
+    ".venv/bin/python",
+    "openssl",
+    "printf",
+)  # what pages run beside asterism
 SHELL = blocks("sh")
 
 

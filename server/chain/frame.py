@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
+from asterism.protocol.messages import Clock
 from asterism.server.centres.blobs import Blobs
 from asterism.server.pose.solve import Lost, PoseEstimate
 
@@ -16,7 +17,8 @@ class Frame:
 
     ``image`` (h, w) uint8, the size of the rig's camera; ``exposed_ns`` mid-exposure, ns since the Unix epoch;
     ``index`` counts the source's frames; ``name`` is the image's file name, if it has one; ``arrived_ns`` is when
-    the image was in memory (`exposed_ns` where nobody measured it).
+    the image was in memory (`exposed_ns` where nobody measured it); ``clock`` says which clock gave ``exposed_ns``, and
+    ``session`` in which of the server's sessions that was (0: in none, the times are a file's own).
     """
 
     image: NDArray[np.uint8]
@@ -24,6 +26,8 @@ class Frame:
     index: int
     name: str = ""
     arrived_ns: int = 0
+    clock: Clock = Clock.FILE
+    session: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,13 +6,15 @@ from asterism.protocol.codec import encode_odometry, set_report_pose, set_vector
 from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message, RobotPose
 from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame, FrameResult
+from asterism.server.chain.smooth import SmoothedPose
 from asterism.server.pose.solve import PoseEstimate
 
 
-def report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int, published_ns: int) -> list[Message]:
+def report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int) -> list[Message]:
     """The messages of one frame: odometry of every located robot, then the frame report.
 
-    ``solved_ns`` is when the poses were known, ``published_ns`` when the messages go out, ns since the Unix epoch.
+    ``solved_ns`` is when the poses were known, ns since the Unix epoch. They are stamped when they go out
+    (`codec.stamped`).
     """
     messages = []
     for robot_id, answer in result.answers.items():
@@ -27,28 +29,29 @@ def report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int, publishe
                 rms_px=answer.rms_px,
                 sequence=result.index,
                 exposed_ns=result.exposed_ns,
-                published_ns=published_ns,
+                published_ns=0,
+                session=frame.session,
                 smoothed_by=answer.smoothed_by,
                 extrapolated=answer.extrapolated,
+                velocity=answer.velocity if isinstance(answer, SmoothedPose) else None,
             )
             key = keys.odometry(rig.camera.name, robot_id)
-            messages.append(
-                Message(key, ODOMETRY, encode_odometry(told), result.exposed_ns, published_ns, result.index)
-            )
-    payload = to_bytes(frame_report(frame, result, rig, solved_ns, published_ns))
+            messages.append(Message(key, ODOMETRY, encode_odometry(told), result.exposed_ns, 0, result.index))
+    payload = to_bytes(frame_report(frame, result, rig, solved_ns))
     key = keys.frame(rig.camera.name)
-    messages.append(Message(key, FRAME_REPORT, payload, result.exposed_ns, published_ns, result.index))
+    messages.append(Message(key, FRAME_REPORT, payload, result.exposed_ns, 0, result.index))
     return messages
 
 
-def frame_report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int, published_ns: int) -> "pb.FrameReport":
+def frame_report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int) -> "pb.FrameReport":
     """Everything that was seen and concluded in one frame."""
     message = pb.FrameReport(
         sequence=result.index,
         exposed_ns=result.exposed_ns,
         arrived_ns=frame.arrived_ns or result.exposed_ns,
         solved_ns=solved_ns,
-        published_ns=published_ns,
+        session=frame.session,
+        clock=frame.clock,
         frame_id=rig.parent_frame,
     )
     message.learned.led_misfit.extend(result.learned.tolist())

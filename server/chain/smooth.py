@@ -24,6 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from asterism.protocol.geometry import Floats, Pose, exp_rotation, log_rotation
+from asterism.protocol.messages import Velocity
 from asterism.server.chain.frame import FrameResult
 from asterism.server.pose.solve import Lost, PoseEstimate
 from asterism.server.pose.track import FORGET_NS, UNKNOWN_SPEED, UNKNOWN_TURN
@@ -36,6 +37,13 @@ TURN_ACCELERATIONS = np.array([27e-6, 27e-4, 27e-2, 27.0])
 SOJOURN_S = 0.5  # how long a robot keeps to one manner of moving, on average
 JUMP = 38.0  # chi squared (six degrees of freedom, one in a million) from which on a pose does not continue the motion
 MODELS = len(ACCELERATIONS)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SmoothedPose(PoseEstimate):
+    """A pose that the filter joined to those before, and how the robot moves."""
+
+    velocity: Velocity | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,12 +89,18 @@ def smooth(result: FrameResult, before: Motions) -> tuple[FrameResult, Motions]:
         motion = follow(motions.get(robot), result.exposed_ns, answer.pose, answer.covariance)
         motions[robot] = motion
         pose, covariance = estimate(motion)
-        answers[robot] = replace(
-            answer,
+        answers[robot] = SmoothedPose(
             position=pose.position,
             orientation=pose.orientation,
             covariance=covariance,
+            leds=answer.leds,
+            spots=answer.spots,
+            residuals_px=answer.residuals_px,
+            rms_px=answer.rms_px,
+            alternative=answer.alternative,
             smoothed_by=FILTER,
+            extrapolated=answer.extrapolated,
+            velocity=velocity(motion),
         )
     return replace(result, answers=answers), Motions(motions)
 
@@ -96,6 +110,22 @@ def estimate(motion: Motion) -> tuple[Pose, Floats]:
     state, covariance = _together(motion.weights, motion.states, motion.covariances)
     turned = exp_rotation(state[3:6]) @ motion.rotation
     return Pose.from_matrix(turned, state[:3]), covariance[:6, :6]
+
+
+def velocity(motion: Motion) -> Velocity:
+    """How the robot moves, in its own frame: what it is unsure of its orientation makes its velocity unsure as well."""
+    state, covariance = _together(motion.weights, motion.states, motion.covariances)
+    turn = exp_rotation(state[3:6]) @ motion.rotation
+    linear, angular = turn.T @ state[6:9], turn.T @ state[9:]
+    # Where the orientation is off by e and the parent's velocity by d, the robot's is off by R^T (d + v x e).
+    jacobian = np.zeros((6, 12))
+    for rows, vector in ((slice(0, 3), state[6:9]), (slice(3, 6), state[9:])):
+        x, y, z = vector
+        jacobian[rows, 3:6] = turn.T @ np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    jacobian[:3, 6:9] = jacobian[3:, 9:] = turn.T
+    accelerations = (float(motion.weights @ ACCELERATIONS), float(motion.weights @ TURN_ACCELERATIONS))
+    spread = jacobian @ covariance @ jacobian.T
+    return Velocity(linear, angular, 0.5 * (spread + spread.T), accelerations)
 
 
 def follow(before: Motion | None, exposed_ns: int, pose: Pose, covariance: Floats) -> Motion:

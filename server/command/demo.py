@@ -6,24 +6,23 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-import zenoh
 from rich.console import Console
 
 from asterism.clients.watch import show
 from asterism.clients.watched import RobotTable
-from asterism.protocol.codec import encode_rig
-from asterism.protocol.network import open_server
+from asterism.protocol.errors import InputError
 from asterism.protocol.program import typed
 from asterism.protocol.rig import load_rig
-from asterism.recordings.recorder import Recorder
+from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.number_arguments import positive
 from asterism.server.command.shared_arguments import add_server, add_smoothing, client_words, named
 from asterism.server.output import check_folder_of_many
-from asterism.server.service.publish import Publisher
+from asterism.server.service.on_air import Place, on_air
 from asterism.server.service.serve import Outlets, Run, Stop, stop_on_signals
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.simulation.simulate import Look
+from asterism.server.sources.session_clock import SessionClock
 from asterism.server.sources.simulated import Simulated
 
 EXAMPLES = "asterism demo\nasterism demo --seconds 5 --record /tmp\n"
@@ -47,18 +46,18 @@ def run(options: argparse.Namespace) -> int:
     check_folder_of_many(options.record)
     rig = load_rig(DEMO_RIG)
     console = Console()
-    stop = Stop()
-    with ExitStack() as stack:
-        session: zenoh.Session = open_server(options.listen, options.connect, options.zenoh)
-        publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig)))
+    clock, stop = SessionClock(), Stop()
+    place = Place(options.listen, options.connect, options.zenoh)
+    with ExitStack() as last, ExitStack() as stack:
+        air = stack.enter_context(on_air(place, rig, clock, stop.interrupt))
         warm_up(*localizing(rig, "sim"))
-        stack.enter_context(stop_on_signals(stop))
+        last.enter_context(stop_on_signals(stop))
         source = Simulated(rig, look=LOOK)
         table, drawn = RobotTable(), threading.Event()
-        stack.callback(table.subscribe(session).clear)
+        stack.callback(table.subscribe(air.session).clear)
         drawing = threading.Thread(target=show, args=(table, console, drawn), name="table")
-        recorder = Recorder(options.record, rig, source.name, 1, wait=True)
-        served = Run(rig, source, Outlets(publisher, recorder), stop)
+        recorder = Recorder(options.record, rig, source.name, FramesKept(), wait=True)
+        served = Run(rig, source, Outlets(air.publisher, recorder), stop, clock)
         drawing.start()
         try:
             if not options.forever:
@@ -76,6 +75,8 @@ def run(options: argparse.Namespace) -> int:
     frames, *robots = served.summary()
     print(f"\n{frames}, in {seconds:.0f} s; recorded in\n  {recorder.folder}")
     print("\n".join([*(f"  {line}" for line in robots), *_next(options, recorder.folder)]))
+    if air.rivals.sentence:
+        raise InputError(air.rivals.sentence)
     if recorder.problem:
         print(recorder.problem)
         return 1

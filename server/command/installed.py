@@ -14,6 +14,7 @@ MODULES = {
     "mcap": ("mcap", "server"),
     "numba": ("numba", "server"),
     "scipy": ("scipy", "server"),
+    "prometheus_client": ("prometheus-client", "metrics"),
     "rerun": ("rerun-sdk", "review"),
     "foxglove_schemas_protobuf": ("foxglove-schemas-protobuf", ""),
     "google": ("protobuf", ""),

@@ -2,10 +2,13 @@
 
 import argparse
 import math
+import re
 
 from asterism.protocol.yaml_file import describe
 
 MOST_DIGITS = 15
+LEAST_SIZE = 10_000_000  # bytes
+_SIZE = re.compile(r"(\d{1,9}(?:\.\d{1,9})?) ?([kMGT])(i?)B", re.ASCII | re.IGNORECASE)
 
 
 def positive(text: str) -> float:
@@ -33,6 +36,26 @@ def count(text: str) -> int:
     if not value:
         raise argparse.ArgumentTypeError(f"{text!r}, expected a whole number above 0")
     return value
+
+
+def port(text: str) -> int:
+    """A port to listen on."""
+    value = count(text)
+    if value > 65_535:
+        raise argparse.ArgumentTypeError(f"{text!r}, expected a port, 1 to 65535")
+    return value
+
+
+def size(text: str) -> int:
+    """Bytes of a size such as 50GB, 1.5TB or 500MiB."""
+    match = _SIZE.fullmatch(text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{describe(text)}, expected a size such as 50GB, 500MB or 1.5TiB")
+    number_of, unit, binary = match.groups()
+    found = int(float(number_of) * (1024 if binary else 1000) ** ("KMGT".index(unit.upper()) + 1))
+    if found < LEAST_SIZE:
+        raise argparse.ArgumentTypeError(f"{describe(text)}, expected at least 10MB")
+    return found
 
 
 def whole(text: str) -> int:

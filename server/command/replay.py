@@ -6,16 +6,18 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 
 from asterism.protocol import asterism_pb2 as pb
-from asterism.protocol.codec import decode_frame_report, encode_rig
+from asterism.protocol import keys
+from asterism.protocol.codec import decode_frame_report, in_session, stamped
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import FRAME_REPORT, Message
-from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.reader import Recording
 from asterism.server.command.number_arguments import positive
 from asterism.server.command.shared_arguments import add_recording, add_server, client_words
-from asterism.server.service.publish import Publisher, is_alive
+from asterism.server.service.on_air import Place, on_air
+from asterism.server.service.play_clock import PlayClock
+from asterism.server.service.publish import Publisher
 from asterism.server.service.say import say
 from asterism.server.service.serve import Stop, stop_on_signals
 
@@ -25,7 +27,9 @@ EXAMPLES = (
     "asterism replay RECORDING --solve rig.yaml\n"
 )
 
-PREFIX = "replay/"
+# A server tells its status every second: nothing for so long is no part of what happened.
+LONGEST_GAP_NS = 3_000_000_000
+BACK_NS = 100_000_000  # what threads publish side by side may be out of order by less
 LOCATED = (pb.TRACKED, pb.TILT_AMBIGUOUS)
 
 
@@ -43,8 +47,6 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Replay once, or with --loop until Ctrl-C."""
-    if options.listen and options.connect:
-        raise InputError("--listen and --connect exclude each other; --connect joins what is there as a client")
     recording = Recording(options.recording)
     rig = recording.rig()
     if options.solve is not None:
@@ -54,31 +56,26 @@ def run(options: argparse.Namespace) -> int:
                 f"{options.recording}: holds no frames; record with --record-frames all to solve them again"
             )
     stop = Stop()
-    with ExitStack() as stack:
-        session = open_server(options.listen, options.connect, options.zenoh)
-        if options.as_live and is_alive(session, rig.camera.name):
-            session.close()
-            raise InputError(
-                f"--as-live: the server of camera '{rig.camera.name}' is alive; its robots would follow two masters. "
-                "Stop it first, or replay without --as-live"
-            )
-        prefix = "" if options.as_live else PREFIX
-        publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig), prefix))
+    with ExitStack() as last, ExitStack() as stack:
+        prefix = "" if options.as_live else keys.REPLAY
+        clock, place = PlayClock(options.speed), Place(options.listen, options.connect, options.zenoh)
+        air = stack.enter_context(on_air(place, rig, clock, stop.interrupt, prefix))
         if options.solve is not None:
             from asterism.server.chain.warm_up import localizing, warm_up
 
             warm_up(*localizing(rig))
-        stack.enter_context(stop_on_signals(stop))
-        where = options.connect or options.listen or options.zenoh or DEFAULT_ENDPOINT
-        say(f"replaying {options.recording} at {where} under {prefix}asterism/{rig.camera.name}")
+        last.enter_context(stop_on_signals(stop))
+        say(f"replaying {options.recording} at {place} under {prefix}asterism/{rig.camera.name}")
         prefixed = ["--prefix", prefix] if prefix else []
         say(f"watch it in another terminal: {typed('watch', *prefixed, *client_words(options))}")
         published = 0
         while not stop():
             source = _solved(recording, rig) if options.solve is not None else recording.messages()
-            published += _play(_wire(source), publisher, options.speed, stop)
+            published += _play(_wire(source), air.publisher, clock, stop)
             if not options.loop:
                 break
+    if air.rivals.sentence:
+        raise InputError(air.rivals.sentence)
     say(f"{'stopped after ' if stop() else ''}{published} messages published")
     return 0
 
@@ -101,23 +98,33 @@ def _solved(recording: Recording, rig: Rig) -> Iterator[Message]:
         frame = Frame(image, exposed_ns, index, f"{index:06d}", exposed_ns)
         result, tracks = localize(frame, rig, tracks)
         # Solved again, the frame has no times of its own beyond its exposure.
-        yield from report(frame, result, rig, exposed_ns, exposed_ns)
+        yield from (stamped(message, exposed_ns) for message in report(frame, result, rig, exposed_ns))
 
 
-def _play(messages: Iterator[Message], publisher: Publisher, speed: float, stop: Stop) -> int:
-    """Publish messages, spaced as their publish times are; returns how many."""
-    count = 0
-    first_ns: int | None = None
-    start = time.perf_counter()
+def _step(step_ns: int) -> str:
+    if step_ns < 0:
+        return f"the recording's clock was set back by {-step_ns * 1e-9:.1f} s here"
+    return f"for {step_ns * 1e-9:.1f} s nothing was recorded here, or the clock was set"
+
+
+def _play(messages: Iterator[Message], publisher: Publisher, clock: PlayClock, stop: Stop) -> int:
+    """Publish messages, spaced as their publish times are, in a session of this play; returns how many.
+
+    Where the recording's clock was set, or nothing was recorded, the play goes on at once, in a session of its own.
+    """
+    count, before_ns = 0, 0
     for message in messages:
-        if first_ns is None:
-            first_ns, start = message.publish_ns, time.perf_counter()
-        due = start + (message.publish_ns - first_ns) * 1e-9 / speed
-        while (left := due - time.perf_counter()) > 0 and not stop():
-            time.sleep(min(left, 0.05))
+        step_ns = message.publish_ns - before_ns
+        if not count or step_ns < -BACK_NS or step_ns > LONGEST_GAP_NS:
+            if count:
+                say(f"{_step(step_ns)}; the replay goes on at once")
+            clock.begin(message.publish_ns)
+        before_ns = message.publish_ns
+        while (left_ns := message.publish_ns - clock.now_ns()) > 0 and not stop():
+            time.sleep(min(left_ns * 1e-9 / clock.rate, 0.05))
         if stop():
             break
-        publisher.publish([message])
+        publisher.put(in_session(message, clock.session))
         count += 1
         if message.kind.schema == FRAME_REPORT.schema:
             report = decode_frame_report(message.payload)

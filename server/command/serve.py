@@ -1,24 +1,30 @@
 """asterism serve: localize what a source shows, publish it, record it."""
 
 import argparse
+from collections.abc import Callable
 from contextlib import ExitStack
+from typing import TYPE_CHECKING
 
-from asterism.protocol.codec import encode_rig
 from asterism.protocol.errors import InputError
-from asterism.protocol.network import DEFAULT_ENDPOINT, open_server
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, load_rig
-from asterism.recordings.recorder import Recorder
+from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.server.chain.warm_up import localizing, warm_up
-from asterism.server.command.number_arguments import count, positive
+from asterism.server.command.number_arguments import count, port, positive, size
 from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing, named
 from asterism.server.output import check_folder_of_many
 from asterism.server.service.live_line import LiveLine
-from asterism.server.service.publish import Publisher
+from asterism.server.service.on_air import Place, on_air
+from asterism.server.service.recovery import Recovery
+from asterism.server.service.reload import reload_on_hangup
 from asterism.server.service.say import say, say_warnings
 from asterism.server.service.serve import Outlets, Run, Sink, Stop, stop_on_signals
+from asterism.server.sources.camera import clock_of
 from asterism.server.sources.open_source import open_source
 from asterism.server.sources.source import Source
+
+if TYPE_CHECKING:
+    from asterism.server.service.metrics import Collector
 
 EXAMPLES = (
     "asterism serve rig.yaml /dev/video0 --record recordings\n"
@@ -35,49 +41,67 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     part.add_argument("--record", metavar="DIR", type=named, help="record into a new folder in DIR")
     part.add_argument(
         "--record-frames",
-        metavar="all|N|none",
-        type=_every,
-        default=1,
-        help="every frame, every Nth, none (default: all)",
+        metavar="all|N|spots|none",
+        type=_kept,
+        default=FramesKept(),
+        help="every frame, every Nth, of every one the windows around spots, none (default: all)",
+    )
+    part.add_argument(
+        "--record-limit",
+        metavar="SIZE",
+        type=size,
+        help="at most so much, such as 50GB: the oldest frames are deleted, poses stay",
+    )
+    part.add_argument(
+        "--metrics", metavar="PORT", type=port, help="health for Prometheus at http://127.0.0.1:PORT/metrics"
     )
     part.add_argument("--rerun", action="store_true", help="show everything in the rerun viewer while it happens")
     add_smoothing(part)
     add_server(part)
 
 
-def _every(text: str) -> int:
-    if text in ("all", "none"):
-        return int(text == "all")
-    return count(text)
+def _kept(text: str) -> FramesKept:
+    if text in ("all", "none", "spots"):
+        return FramesKept(int(text != "none"), text == "spots")
+    return FramesKept(count(text))
 
 
 def run(options: argparse.Namespace) -> int:
     """Serve until the source ends or Ctrl-C; exit code 1 if the recording had to end early."""
     if options.record is not None:
         check_folder_of_many(options.record)
+    elif options.record_limit is not None:
+        raise InputError("--record-limit is for a recording; add --record DIR")
     rig = load_rig(options.rig)
     say_warnings(rig)
-    if options.listen and options.connect:
-        raise InputError("--listen and --connect exclude each other; --connect joins what is there as a client")
+    place = Place(options.listen, options.connect, options.zenoh)
     source = open_source(options.source, rig, say)
     if source.live and options.rate is not None:
         raise InputError("--rate is for images and videos; a camera's rate stands in the rig (capture.rate)")
-    stop = Stop()
-    with ExitStack() as stack:
-        session = open_server(options.listen, options.connect, options.zenoh)
-        publisher = stack.enter_context(Publisher(session, rig.camera.name, encode_rig(rig)))
+    clock, stop = clock_of(source), Stop()
+    with ExitStack() as last, ExitStack() as stack:
+        collector = _metrics(options, rig, stack)
+        air = stack.enter_context(on_air(place, rig, clock, stop.interrupt))
         warm_up(*localizing(rig, options.source))
-        stack.enter_context(stop_on_signals(stop))
+        last.enter_context(stop_on_signals(stop))  # until all is closed: a second Ctrl-C changes nothing
         sinks: tuple[Sink, ...] = ()
+        rig_takers: tuple[Callable[[Rig], None], ...] = ()
         if options.rerun:
             from asterism.server.service.live_view import LiveView
 
-            sinks = (stack.enter_context(LiveView(rig)).write,)
-        where = options.connect or options.listen or options.zenoh or DEFAULT_ENDPOINT
+            view = stack.enter_context(LiveView(rig))
+            sinks, rig_takers = (view.write,), (view.take_rig,)
         robots = f"{len(rig.robots)} robot{'s' * (len(rig.robots) > 1)}"
-        say(f"serving {robots} of camera '{rig.camera.name}' from {source.name} at {where}")
+        say(f"serving {robots} of camera '{rig.camera.name}' from {source.name} at {place}")
         recorder = _recorder(options, rig, source)
-        served = Run(rig, source, Outlets(publisher, recorder, sinks), stop)
+        if recorder is not None:
+            rig_takers = (*rig_takers, recorder.take_rig)
+            sinks = (*sinks, stack.enter_context(Recovery(options.record, rig.camera.name, say)).begin)
+        served = Run(rig, source, Outlets(air.publisher, recorder, sinks, rig_takers), stop, clock, options.rig)
+        if served.reloader is not None:
+            last.enter_context(reload_on_hangup(served.reloader))
+        if collector is not None:
+            collector.run = served
         try:
             with LiveLine(served.now):
                 served.serve(options.rate, options.smooth)
@@ -86,17 +110,37 @@ def run(options: argparse.Namespace) -> int:
                 recorder.close(served.ending())
                 say(f"recorded in {recorder.folder}; look at it with")
                 say(f"  {typed('review', recorder.folder)}")
-    for line in served.summary():
-        say(line)
+        for line in served.summary():
+            say(line)
+    if air.rivals.sentence:
+        raise InputError(air.rivals.sentence)
     if recorder is not None and recorder.problem:
         say(recorder.problem)
         return 1
     return 0
 
 
+def _metrics(options: argparse.Namespace, rig: Rig, stack: ExitStack) -> "Collector | None":
+    """Listening from now on, so that a port which is taken is said before anything is begun."""
+    if options.metrics is None:
+        return None
+    from asterism.server.service.metrics import metrics
+
+    return stack.enter_context(metrics(rig.camera.name, options.metrics))
+
+
 def _recorder(options: argparse.Namespace, rig: Rig, source: Source) -> Recorder | None:
     if options.record is None:
         return None
-    recorder = Recorder(options.record, rig, source.name, options.record_frames, wait=not source.live)
-    say(f"recording to {recorder.folder}")
+    kept, limit = options.record_frames, options.record_limit
+    recorder = Recorder(options.record, rig, source.name, kept, wait=not source.live, limit_bytes=limit)
+    say(f"recording to {recorder.folder}{_rate(rig, source, kept)}")
     return recorder
+
+
+def _rate(rig: Rig, source: Source, kept: FramesKept) -> str:
+    """What whole frames take, before anything is measured."""
+    if kept.every == 0 or kept.spots:
+        return ""
+    rate = rig.camera.width * rig.camera.height * source.rate_hz / kept.every
+    return f": frames take {rate / 1e6:.0f} MB/s, {rate * 3600 / 1e9:.0f} GB an hour"

@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from asterism.protocol.geometry import Floats
 from asterism.server.pose.courses import MODELS, Courses
@@ -188,12 +187,17 @@ def follow_course(before: Expected, seen: Seen) -> Moving:
 
 def turned(vectors: Floats) -> Floats:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad."""
+    # Here and not above: it takes a third of a second to load, and only rolling shutters need it.
+    from scipy.spatial.transform import Rotation
+
     matrices: Floats = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix()
     return matrices.reshape(*vectors.shape, 3)
 
 
 def _turn_between(a: Floats, b: Floats) -> Floats:
     """Rotation vectors (m, 3), rad, about the parent's axes, that lead from a to b (m, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
     vectors: Floats = Rotation.from_matrix(b @ a.transpose(0, 2, 1)).as_rotvec()
     return vectors
 

@@ -48,7 +48,8 @@ class Adviser:
 
     def last(self) -> list[str]:
         """What is to be said at the end: why no robot was found at all, or what kept single ones from being found."""
-        missing = self._tally.missing()
+        ours = {robot.id for robot in self._rig.robots}  # the rig may have been another before
+        missing = [robot for robot in self._tally.missing() if robot in ours]
         if len(missing) == len(self._rig.robots):
             return [f"no robot was found: {sentence}"] if (sentence := self._sentence()) else []
         frame = self._tally.frame

@@ -9,7 +9,7 @@ from asterism.recordings.recorder import Recorder
 
 SHORT_S = 600.0  # of room left: a warning
 ENOUGH_S = 1200.0  # with so much again the next shortage is a new one
-ENDED = "recording ended"
+BEHIND_S = 10.0  # between two sentences about what the recorder leaves out
 
 
 class Disk:
@@ -24,15 +24,17 @@ class Disk:
         self._growth = Growth()
         self._told = False
         self._warned = False
+        self._problem = ""
+        self._left_out = (0, 0)
+        self._behind_s = -math.inf
         self.text = "recording"  # for the live line
 
     def look(self) -> None:
         """Take the pace; say it where it is due."""
-        if self._recorder.problem:
-            if self.text != ENDED:
-                self.text = ENDED
-                self._say(self._recorder.problem)
+        self._tell_problem(self._recorder.problem)
+        if self._problem:
             return
+        self._tell_behind()
         pace = self._growth.pace(self._clock(), self._recorder.bytes_written, self._recorder.bytes_free())
         if pace is None:
             return
@@ -45,6 +47,28 @@ class Disk:
             self._say(f"warning: {self._recorder.folder}: the disk is full in {duration(pace.seconds_left)}")
         elif pace.seconds_left > ENOUGH_S:
             self._warned = False
+
+    def _tell_problem(self, problem: str) -> None:
+        """Say what is not recorded, when that changes, and when all is recorded again."""
+        if problem == self._problem:
+            return
+        self._problem = problem
+        self.text = "recording disturbed" if problem else "recording"
+        recorder = self._recorder
+        missing = f"{recorder.frames_left_out} frames and {recorder.messages_left_out} messages are missing so far"
+        self._say(problem or f"{recorder.folder}: everything is recorded again; {missing}")
+        self._left_out = recorder.frames_left_out, recorder.messages_left_out
+
+    def _tell_behind(self) -> None:
+        """Say, now and then, what a recorder leaves out that cannot keep up."""
+        left_out = self._recorder.frames_left_out, self._recorder.messages_left_out
+        if left_out == self._left_out or self._clock() < self._behind_s + BEHIND_S:
+            return
+        self._left_out, self._behind_s = left_out, self._clock()
+        self._say(
+            f"warning: {self._recorder.folder}: the recorder cannot keep up: {left_out[0]} frames and {left_out[1]} "
+            "messages are missing so far"
+        )
 
 
 def sentence(pace: Pace) -> str:

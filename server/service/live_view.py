@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 import threading
+from collections.abc import Iterable
 from pathlib import Path
 
 import rerun as rr
@@ -48,17 +49,21 @@ class LiveView:
             say(f"no display for the viewer; connect one with: rerun {url}")
         self._stream = rr.RecordingStream(APPLICATION)
         self._stream.connect_grpc(url, default_blueprint=blueprint(rig))
-        self._drawing = Drawing(self._stream, rig)
+        self._rig = rig
         self._ready = threading.Condition()
-        self._newest: tuple[list[Message], Frame] | None = None
+        self._newest: tuple[list[Message], Frame, Rig] | None = None
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="live-view", daemon=True)
         self._thread.start()
 
+    def take_rig(self, rig: Rig) -> None:
+        """Another rig is in force for the frames from now on."""
+        self._rig = rig
+
     def write(self, messages: list[Message], frame: Frame) -> None:
         """Show this frame when the viewer gets to it."""
         with self._ready:
-            self._newest = (messages, frame)
+            self._newest = (messages, frame, self._rig)
             self._ready.notify()
 
     def close(self) -> None:
@@ -81,15 +86,26 @@ class LiveView:
         self.close()
 
     def _run(self) -> None:
+        drawn = self._rig
+        drawing = Drawing(self._stream, drawn)
         while True:
             with self._ready:
                 self._ready.wait_for(lambda: self._newest is not None or self._closed)
                 if self._closed:
                     return
                 assert self._newest is not None
-                messages, frame = self._newest
+                messages, frame, rig = self._newest
                 self._newest = None
-            self._drawing.image(frame.image, frame.exposed_ns, frame.index)
+            if rig is not drawn:
+                self._wipe(robot.id for robot in drawn.robots)
+                drawn, drawing = rig, Drawing(self._stream, rig)
+            drawing.image(frame.image, frame.exposed_ns, frame.index)
             for message in messages:
                 if message.kind == FRAME_REPORT:
-                    self._drawing.report(decode_frame_report(message.payload))
+                    drawing.report(decode_frame_report(message.payload))
+
+    def _wipe(self, robots: Iterable[str]) -> None:
+        """Robots of a rig that is no longer in force are drawn nowhere."""
+        for robot in robots:
+            for what in ("robots", "alternatives", "paths"):
+                self._stream.log(f"world/{what}/{robot}", rr.Clear(recursive=True))

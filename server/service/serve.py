@@ -1,12 +1,13 @@
 """The loop: for every frame of the source, localize, report, publish, record."""
 
 import signal
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import NamedTuple
 
+from asterism.protocol import asterism_pb2 as pb
+from asterism.protocol.codec import encode_rig, to_bytes
 from asterism.protocol.messages import Message
 from asterism.protocol.rig import Rig
 from asterism.recordings.recorder import Recorder
@@ -17,14 +18,18 @@ from asterism.server.chain.smooth import Motions, smooth
 from asterism.server.pose.solve import PoseEstimate
 from asterism.server.pose.track import Tracks
 from asterism.server.service.adviser import Adviser
+from asterism.server.service.carry import carried, carried_motions
 from asterism.server.service.disk import Disk
 from asterism.server.service.health import Health
 from asterism.server.service.live_line import Now
 from asterism.server.service.publish import Publisher
-from asterism.server.service.say import say
+from asterism.server.service.reload import Outcome, Reloader, settings_left
+from asterism.server.service.say import complain, say, say_warnings
+from asterism.server.service.systemd import Systemd
 from asterism.server.service.threads import Feed, Ticker
 from asterism.server.sources.camera import Camera
 from asterism.server.sources.paced import paced
+from asterism.server.sources.session_clock import SessionClock
 from asterism.server.sources.source import Source
 
 STATUS_EVERY_S = 1.0
@@ -39,13 +44,17 @@ class Outlets(NamedTuple):
     publisher: Publisher
     recorder: Recorder | None = None
     sinks: tuple[Sink, ...] = ()
+    rig_takers: tuple[Callable[[Rig], None], ...] = ()  # sinks that must know when the rig becomes another
 
 
 class Stop:
-    """Set by Ctrl-C, a signal, or whoever ends the run."""
+    """Set by Ctrl-C, a signal, or whoever ends the run.
+
+    It holds no lock: a signal's handler sets it, which may interrupt another one that does.
+    """
 
     def __init__(self) -> None:
-        self._event = threading.Event()
+        self._stopped = False
         self.interrupted = False  # by a person or a signal, before its time
 
     def interrupt(self) -> None:
@@ -55,16 +64,22 @@ class Stop:
 
     def set(self) -> None:
         """End the run after the frame in work."""
-        self._event.set()
+        self._stopped = True
 
     def __call__(self) -> bool:
-        return self._event.is_set()
+        return self._stopped
 
 
 @contextmanager
 def stop_on_signals(stop: Stop) -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM end the run cleanly."""
-    before = {number: signal.signal(number, lambda *_: stop.interrupt()) for number in (signal.SIGINT, signal.SIGTERM)}
+    """Let Ctrl-C, SIGTERM and a terminal that closes end the run cleanly, however often they come.
+
+    SIGHUP stays ignored where it is: somebody wanted the program to outlive its terminal.
+    """
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    before = {number: signal.signal(number, lambda *_: stop.interrupt()) for number in numbers}
     try:
         yield
     finally:
@@ -73,16 +88,34 @@ def stop_on_signals(stop: Stop) -> Iterator[None]:
 
 
 class Run:
-    """One run of the server: its source, where its messages go, how it is doing."""
+    """One run of the server: its source, where its messages go, how it is doing.
 
-    def __init__(self, rig: Rig, source: Source, outlets: Outlets, stop: Stop) -> None:
+    ``rig_path`` is where its rig is read again from when `reloader` is asked to; without it the rig stays.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        source: Source,
+        outlets: Outlets,
+        stop: Stop,
+        clock: SessionClock,
+        rig_path: str | None = None,
+    ) -> None:
         self.rig = rig
+        self.clock = clock
         self.source = source
         self.outlets = outlets
         self.stop = stop
         self.health = Health(rig.camera.name, source.name, (robot.id for robot in rig.robots))
         self._adviser = Adviser(rig, self.health.tally, say)
         self._disk = None if outlets.recorder is None else Disk(outlets.recorder, say)
+        self._systemd = Systemd()
+        self._reloads = pb.Reloads()
+        self.reloader: Reloader | None = None
+        if rig_path is not None:
+            self.reloader = Reloader(rig_path, rig, lambda: self.health.tally.frame, self._systemd)
+            self._answer_for_rig()
 
     def serve(self, rate_hz: float | None = None, smoothed: bool = False) -> None:
         """Localize, publish and record every frame until the source ends or ``stop`` is set.
@@ -91,7 +124,7 @@ class Run:
         has joined to those before. Raises what the source raises; what was recorded by then is kept.
         """
         source = self.source
-        frames = source.frames() if source.live else paced(source.frames(), rate_hz, self.stop)
+        frames = source.frames() if source.live else paced(source.frames(), rate_hz, self.stop, self.clock)
         with ExitStack() as stack:
             feed = Feed(frames, source.live)
             stack.callback(feed.close)
@@ -99,6 +132,10 @@ class Run:
                 stack.callback(source.close)
             stack.callback(self._count, feed)
             stack.callback(Ticker(lambda: self._tick(feed), STATUS_EVERY_S).close)
+            stack.callback(self._systemd.stopping)
+            if self.reloader is not None:
+                stack.callback(self.reloader.close)
+            self._systemd.ready()
             self._loop(feed, smoothed)
 
     def now(self) -> Now:
@@ -137,15 +174,21 @@ class Run:
         health.frames_unreadable = self.source.unreadable
         if recorder is not None:
             health.frames_not_recorded = recorder.frames_left_out
-        waiting = self.source.problem if isinstance(self.source, Camera) else ""
-        health.problem = waiting or (recorder.problem if recorder is not None else "")
+            health.messages_not_recorded = recorder.messages_left_out
+        problems = (self._waiting(), "" if recorder is None else recorder.problem, self._reloads.problem)
+        health.problem = "; ".join(filter(None, problems))
+
+    def _waiting(self) -> str:
+        """Why there are no frames, where the source itself says so."""
+        return self.source.problem if isinstance(self.source, Camera) else ""
 
     def _tick(self, feed: Feed) -> None:
         """Once a second: tell the status, say what is to be said."""
         self._count(feed)
-        now = time.time_ns()
-        status = [self.health.message(now)]
-        self.outlets.publisher.publish(status)
+        if (step_ns := self.clock.look()) is not None:
+            say(f"this machine's clock was set by {step_ns * 1e-9:+.3f} s; a new session begins")
+        now = self.clock.now_ns()
+        status = self.outlets.publisher.publish([self.health.message(now, self.clock.session)])
         if self.outlets.recorder is not None:
             self.outlets.recorder.write(status, None, now, 0)
         if self._disk is not None:
@@ -153,26 +196,61 @@ class Run:
         self._adviser.look()
 
     def _loop(self, feed: Feed, smoothed: bool) -> None:
-        rig, outlets = self.rig, self.outlets
-        publisher, recorder = outlets.publisher, outlets.recorder
+        publisher, recorder = self.outlets.publisher, self.outlets.recorder
         tracks, motions = Tracks.none(), Motions.none()
         while not self.stop():
             frame = feed.next(SILENT_S)
+            if self.reloader is not None and (outcome := self.reloader.take()) is not None:
+                tracks, motions = self._reloaded(outcome, tracks, motions)
             if frame is None:
                 if feed.finished:
                     return
                 publisher.show_visible(())
+                # A camera that hangs says nothing: then nothing is said of us either, and systemd starts us anew.
+                if self._waiting() or not self.source.live:
+                    self._systemd.alive()
                 continue
-            result, tracks = localize(frame, rig, tracks)
+            result, tracks = localize(frame, self.rig, tracks)
             if smoothed:
                 result, motions = smooth(result, motions)
-            solved_ns = time.time_ns()
-            messages = report(frame, result, rig, solved_ns, time.time_ns())
-            publisher.publish(messages)
+            solved_ns = self.clock.now_ns(frame.session)
+            messages = publisher.publish(report(frame, result, self.rig, solved_ns), frame.session)
             located = (robot for robot, answer in result.answers.items() if isinstance(answer, PoseEstimate))
             publisher.show_visible(located)
             self.health.add(frame, result, solved_ns, messages[-1].publish_ns)
             if recorder is not None:
                 recorder.write(messages, frame.image, frame.exposed_ns, frame.index)
-            for sink in outlets.sinks:
+            for sink in self.outlets.sinks:
                 sink(messages, frame)
+            self._systemd.alive()
+
+    def _reloaded(self, outcome: Outcome, tracks: Tracks, motions: Motions) -> tuple[Tracks, Motions]:
+        """Between two frames: take another rig, or say why not. Returns what is remembered for the next frame."""
+        before, rig = self.rig, outcome.rig
+        self._reloads = pb.Reloads(count=self._reloads.count + 1, problem=outcome.problem)
+        if rig is not None:
+            self._take(rig)
+            tracks, motions = carried(tracks, before, rig), carried_motions(motions, before, rig)
+            took_s = time.monotonic() - outcome.asked_s
+            say(f"the rig was read again; it is in force, {took_s:.2f} s after it was asked for")
+            say_warnings(rig)
+            if left := settings_left(before, rig):
+                say(left)
+        else:
+            complain(outcome.problem)
+        self._answer_for_rig()
+        self._systemd.ready()
+        return tracks, motions
+
+    def _take(self, rig: Rig) -> None:
+        """From the next frame on this rig is in force."""
+        self.rig = rig
+        self.health.tally.change_robots(robot.id for robot in rig.robots)
+        self._adviser = Adviser(rig, self.health.tally, say)
+        for take in self.outlets.rig_takers:
+            take(rig)
+
+    def _answer_for_rig(self) -> None:
+        """What the `rig` queryable tells: the rig in force, and how reading it again went."""
+        told = to_bytes(pb.RigReport(reloads=self._reloads))
+        self.outlets.publisher.rig_payload = encode_rig(self.rig) + told

@@ -95,6 +95,15 @@ class Tally:
             self.blank = self.blank or Blank(now, frame)
             self.blank.add(frame, result)
 
+    def change_robots(self, robots: Iterable[str]) -> None:
+        """From the next frame on the rig has these; what was counted of others stays."""
+        ids = list(robots)
+        with self._lock:
+            self._robots |= {robot: _Robot() for robot in ids if robot not in self._robots}
+            self._newest = {robot: state for robot, state in self._newest.items() if robot in ids}
+            self._misfits = Misfits(ids)
+            self.blank = None
+
     def rate_hz(self) -> float:
         """Frames in the last second."""
         with self._lock:

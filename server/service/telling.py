@@ -2,12 +2,16 @@
 
 import contextlib
 import logging
+import logging.handlers
+import os
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TextIO, cast
 
 from asterism.protocol.errors import InputError
+from asterism.server.service.lasting import Lasting
 from asterism.server.service.say import SAID
 
 LOGGER = logging.getLogger("asterism")
@@ -27,13 +31,14 @@ class _Terminal(logging.Handler):
             text = f"{record.name.removeprefix('asterism.')}: {text}"
         if record.exc_info:
             text = f"{text}\n{_TRACE.formatException(record.exc_info)}"
-        # A terminal that is gone must not end the work.
-        with contextlib.suppress(OSError):
-            print(f"asterism: {text}", file=sys.stderr, flush=True)
+        print(f"asterism: {text}", file=sys.stderr, flush=True)
 
 
-class _File(logging.FileHandler):
-    """Lines with UTC times, each whole on the disk; a disk that is full must not end the work."""
+class _File(logging.handlers.WatchedFileHandler):
+    """Lines with UTC times, each whole on the disk; begun anew where the file was moved or removed, as by logrotate.
+
+    A disk that is full, or a folder that is gone, must not end the work: lines are lost until it is back.
+    """
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, encoding="utf-8", errors="backslashreplace")
@@ -43,8 +48,18 @@ class _File(logging.FileHandler):
         formatter.converter = time.gmtime
         self.setFormatter(formatter)
 
+    def emit(self, record: logging.LogRecord) -> None:
+        """One line."""
+        with contextlib.suppress(OSError):
+            super().emit(record)
+
     def handleError(self, record: logging.LogRecord) -> None:
         """Go on without."""
+
+    def close(self) -> None:
+        """Let go of the file, also where its last lines found no room."""
+        with contextlib.suppress(OSError):
+            super().close()
 
 
 _TERMINAL = _Terminal()
@@ -87,12 +102,27 @@ def telling() -> Iterator[Telling]:
     told = Telling()
     told.choose(quiet=False, verbose=False, log=None)
     logging.captureWarnings(True)
-    for logger in (LOGGER, WARNINGS):
-        logger.addHandler(_TERMINAL)
-    try:
-        yield told
-    finally:
-        told.close()
+    with _lasting_stderr():
         for logger in (LOGGER, WARNINGS):
-            logger.removeHandler(_TERMINAL)
-        logging.captureWarnings(False)
+            logger.addHandler(_TERMINAL)
+        try:
+            yield told
+        finally:
+            told.close()
+            for logger in (LOGGER, WARNINGS):
+                logger.removeHandler(_TERMINAL)
+            logging.captureWarnings(False)
+
+
+@contextlib.contextmanager
+def _lasting_stderr() -> Iterator[None]:
+    """An error channel that may be lost, or was closed before we were started."""
+    before = sys.stderr
+    with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
+        lasting = Lasting(before or nowhere)
+        sys.stderr = cast(TextIO, lasting)
+        try:
+            yield
+        finally:
+            lasting.finish()
+            sys.stderr = before

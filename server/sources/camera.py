@@ -8,10 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.protocol.errors import WorldError
+from asterism.protocol.messages import Clock
 from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame
 from asterism.server.sources.images import to_grey8
-from asterism.server.sources.source import DEFAULT_RATE_HZ, Expected, Say
+from asterism.server.sources.session_clock import SessionClock
+from asterism.server.sources.source import DEFAULT_RATE_HZ, Expected, Say, Source
+
+
+def clock_of(source: Source) -> SessionClock:
+    """What stamps a source's frames when they are served: a camera's own clock, or one that begins now."""
+    return source.clock if isinstance(source, Camera) else SessionClock()
 
 
 class Device(Protocol):
@@ -40,6 +47,7 @@ class Camera:
         self.unreadable = 0
         self.length: int | None = None
         self.problem = ""  # what is wrong now, a sentence
+        self.clock = SessionClock()
         self._open = open_device
         self._say = say
         self._closed = False
@@ -61,7 +69,8 @@ class Camera:
                 self.problem = ""
                 self._say(f"{self.name}: the camera is back")
             image = self._device.read()
-            arrived_ns = time.time_ns()
+            session = self.clock.session
+            arrived_ns = self.clock.now_ns(session)
             if image is None:
                 self._device.close()
                 self._device = None
@@ -71,7 +80,7 @@ class Camera:
                 continue
             grey = to_grey8(image, self._expected.capture.bits, self.name)
             self._expected.check(grey, self.name)
-            yield Frame(grey, arrived_ns, index, f"{index:06d}", arrived_ns)
+            yield Frame(grey, arrived_ns, index, f"{index:06d}", arrived_ns, Clock.ARRIVAL, session)
             index += 1
         if self._device is not None:
             self._device.close()

@@ -1,17 +1,24 @@
 """Frames from image files; they count time from 0 at their own rate."""
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
 
 from asterism.protocol.errors import InputError
 from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame
-from asterism.server.sources.images import EXTENSIONS, UnreadableImage, natural_key, read_image
+from asterism.server.sources.depth import Depth
+from asterism.server.sources.images import EXTENSIONS, UnreadableImage, natural_key, read_pages, to_grey8
 from asterism.server.sources.source import DEFAULT_RATE_HZ, Expected, Say
 
 
 class ImageFiles:
-    """Image files in natural order. An image that cannot be read is said, counted and skipped."""
+    """Image files in natural order, each of a TIFF's pages a frame. An image that cannot be read is said, counted and
+    skipped.
+    """
 
     live = False
 
@@ -23,23 +30,32 @@ class ImageFiles:
         self.length: int | None = len(paths)
         self._paths = paths
         self._say = say
+        self._depth = Depth(self._expected.capture.bits, say)
 
     def frames(self) -> Iterator[Frame]:
         """Raises InputError for an image of another size than the calibration's, or if none could be read."""
         read = 0
-        for index, path in enumerate(self._paths):
+        for index, (path, page) in enumerate(self._pages()):
+            if page is None:
+                continue
+            name, image = page
+            grey = to_grey8(image, self._depth.bits_of(image, str(path)), str(path))
+            read += 1
+            exposed_ns = round(index * 1e9 / self.rate_hz)
+            yield Frame(grey, exposed_ns, index, name, exposed_ns)
+        if not read:
+            raise InputError(f"{self.name}: none of its {len(self._paths)} images can be read")
+
+    def _pages(self) -> Iterator[tuple[Path, tuple[str, NDArray[Any]] | None]]:
+        """Every page of every file with its name; None for what cannot be read."""
+        for path in self._paths:
             try:
-                image = read_image(path, self._expected.capture.bits)
+                for page in read_pages(path, partial(self._expected.check_size, where=str(path))):
+                    yield path, page
             except UnreadableImage as problem:
                 self.unreadable += 1
                 self._say(f"{path}: {problem}; skipped")
-                continue
-            self._expected.check(image, str(path))
-            read += 1
-            exposed_ns = round(index * 1e9 / self.rate_hz)
-            yield Frame(image, exposed_ns, index, path.name, exposed_ns)
-        if not read:
-            raise InputError(f"{self.name}: none of its {len(self._paths)} images can be read")
+                yield path, None
 
 
 def image_files(name: str, paths: list[Path], rig: Rig | None, say: Say) -> ImageFiles:

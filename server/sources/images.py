@@ -1,6 +1,7 @@
 """Image files and raw camera images to the (h, w) uint8 grey images that the chain takes."""
 
 import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.protocol.errors import InputError
+from asterism.protocol.text_file import read_bytes
+from asterism.server.sources.image_headers import NoImage, header_of
 
 EXTENSIONS = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
+LARGEST_FILE = 1 << 32  # bytes; a stack of frames
 
 
 class UnreadableImage(Exception):
@@ -23,30 +27,48 @@ def natural_key(path: Path) -> list[tuple[int, int | str]]:
     return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts]
 
 
-def read_image(path: Path, bits: int | None) -> NDArray[np.uint8]:
-    """The image in a PNG, TIFF, JPEG or BMP file as (h, w) uint8; `bits` as in `to_grey8`.
+CheckSize = Callable[[int, int], None]
 
+
+def read_pages(path: Path, check_size: CheckSize) -> Iterator[tuple[str, NDArray[Any]]]:
+    """The images in a PNG, TIFF, JPEG or BMP file, (h, w) or (h, w, 3 or 4, BGR), 8 or 16 bit, with their names: a TIFF
+    may hold many, and the third of stack.tiff is called stack.tiff#2.
+
+    ``check_size`` is asked for width and height of every page before anything is decoded, and raises what it likes.
     Raises UnreadableImage for a file that is missing, cut off or no image.
     """
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, "an image", LARGEST_FILE)
     except OSError as error:
         raise UnreadableImage(f"cannot be read ({error.strerror})") from None
+    except InputError as error:
+        raise UnreadableImage(str(error).removeprefix(f"{path}: ")) from None
     if not data:
         raise UnreadableImage("is empty")
-    # Decoders fill what is missing with grey, or complain on the terminal: look for the end of the image first.
-    if (data.startswith(b"\x89PNG") and b"IEND" not in data[-256:]) or (
-        data.startswith(b"\xff\xd8") and b"\xff\xd9" not in data[-4096:]
-    ):
-        raise UnreadableImage("is cut off")
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        sizes = header_of(data).sizes
+    except NoImage as problem:
+        raise UnreadableImage(str(problem)) from None
+    for width, height in sizes:
+        check_size(width, height)
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    for page in range(len(sizes)):
+        name = path.name if len(sizes) == 1 else f"{path.name}#{page}"
+        yield name, _decoded(np.frombuffer(data, np.uint8), page, len(sizes))
+
+
+def _decoded(data: NDArray[np.uint8], page: int, pages: int) -> NDArray[Any]:
+    try:
+        if pages == 1:
+            image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+        else:
+            _, found = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED, None, (page, page + 1))
+            image = found[0] if found else None
     except cv2.error:
         image = None
     if image is None:
-        raise UnreadableImage("is no whole image")
-    return to_grey8(image, bits, str(path))
+        raise UnreadableImage("is no whole image" if pages == 1 else f"page {page} is no whole image")
+    return np.asarray(image)
 
 
 def to_grey8(image: NDArray[Any], bits: int | None, name: str) -> NDArray[np.uint8]:

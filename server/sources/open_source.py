@@ -43,14 +43,14 @@ def _open(text: str, rig: Rig | None, say: Say, seed: int) -> Source:
     path = Path(text)
     if path.is_dir():
         if any(path.glob("*.mcap")):
-            return RecordedFrames(path, rig)
+            return RecordedFrames(path, rig, say)
         return image_files(text, [entry for entry in path.iterdir() if entry.is_file()], rig, say)
     if path.is_file():
         if path.suffix.lower() in EXTENSIONS:
             return ImageFiles(text, [path], rig, say)
         if path.suffix.lower() == ".mcap":
             raise InputError(f"{text}: is one file of a recording, expected the recording's folder {path.parent}")
-        return VideoFile(path, rig)
+        return VideoFile(path, rig, say)
     if any(char in text for char in "*?["):
         base = Path(path.anchor) if path.is_absolute() else Path()
         return image_files(text, list(base.glob(str(path.relative_to(base)))), rig, say)

@@ -1,13 +1,18 @@
-"""Files played against the clock."""
+"""Files played in real time."""
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
+from asterism.protocol.messages import Clock
 from asterism.server.chain.frame import Frame
+from asterism.server.sources.session_clock import SessionClock
 
 
-def paced(frames: Iterator[Frame], rate_hz: float | None, stop: Callable[[], bool]) -> Iterator[Frame]:
-    """Play frames of a file against the clock, stamped when they are played.
+def paced(
+    frames: Iterator[Frame], rate_hz: float | None, stop: Callable[[], bool], clock: SessionClock
+) -> Iterator[Frame]:
+    """Play frames of a file in real time, stamped by ``clock`` when they are played.
 
     Their own spacing in time is kept, or ``rate_hz`` if it is given; a chain that is too slow delays, it drops
     nothing. Ends early when ``stop`` says so.
@@ -22,5 +27,6 @@ def paced(frames: Iterator[Frame], rate_hz: float | None, stop: Callable[[], boo
             time.sleep(min(left, 0.05))
         if stop():
             return
-        now = time.time_ns()
-        yield Frame(frame.image, now, frame.index, frame.name, now)
+        session = clock.session
+        now_ns = clock.now_ns(session)
+        yield replace(frame, exposed_ns=now_ns, arrived_ns=now_ns, clock=Clock.PLAYED, session=session)

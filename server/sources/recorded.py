@@ -6,7 +6,7 @@ from pathlib import Path
 from asterism.protocol.errors import InputError
 from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame
-from asterism.server.sources.source import DEFAULT_RATE_HZ, Expected
+from asterism.server.sources.source import DEFAULT_RATE_HZ, Expected, Say
 
 
 class RecordedFrames:
@@ -14,21 +14,30 @@ class RecordedFrames:
 
     live = False
 
-    def __init__(self, path: Path, rig: Rig | None) -> None:
+    def __init__(self, path: Path, rig: Rig | None, say: Say) -> None:
         from asterism.recordings.reader import Recording
 
         self.name = str(path)
+        self._say = say
         self.unreadable = 0
         self._expected = Expected(rig)
         self._recording = Recording(path)
         self.length: int | None = self._recording.count_frames()
         if not self.length:
             raise InputError(f"{path}: holds no frames; record with --record-frames all to solve them again")
-        span = self._recording.frames_span_ns()
-        self.rate_hz = (self.length - 1) * 1e9 / span if span > 0 else DEFAULT_RATE_HZ
+        self.rate_hz = self._recording.frame_rate_hz() or DEFAULT_RATE_HZ
 
     def frames(self) -> Iterator[Frame]:
-        """Raises InputError for frames of another size than the calibration's."""
+        """In the order in which they were taken, also where the clock was set.
+
+        Raises InputError for frames of another size than the calibration's.
+        """
+        before_ns = 0
         for image, exposed_ns, index in self._recording.frames():
             self._expected.check(image, f"{self.name}, frame {index}")
+            if exposed_ns < before_ns:
+                self._say(
+                    f"{self.name}, frame {index}: the clock was set back by {(before_ns - exposed_ns) * 1e-9:.3f} s"
+                )
+            before_ns = exposed_ns
             yield Frame(image, exposed_ns, index, f"{index:06d}", exposed_ns)

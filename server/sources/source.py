@@ -50,6 +50,10 @@ class Expected:
     def check(self, image: NDArray[np.uint8], where: str) -> None:
         """Raises InputError for an image of another size."""
         height, width = image.shape
+        self.check_size(width, height, where)
+
+    def check_size(self, width: int, height: int, where: str) -> None:
+        """Raises InputError for another size."""
         if self._camera is not None:
             check_image_size(self._camera, width, height, where)
         self._first = self._first or (width, height)

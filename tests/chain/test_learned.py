@@ -63,7 +63,7 @@ def test_the_frame_report_tells_what_a_frame_was_solved_with() -> None:
     before = Tracks.knowing(learned)
     result, tracks = localize(frame, RIG, before)
     assert np.array_equal(result.learned, learned)
-    assert list(frame_report(frame, result, RIG, 0, 0).learned.led_misfit) == learned.tolist()
+    assert list(frame_report(frame, result, RIG, 0).learned.led_misfit) == learned.tolist()
     assert np.array_equal(before.misfits[:, 0], learned)
     assert np.array_equal(tracks.learned_at(FIRST), learned)
     alone, _ = localize(replace(frame), RIG, Tracks.none())

@@ -9,7 +9,7 @@ from asterism.protocol.geometry import Floats, Pose, angle_between, exp_rotation
 from asterism.protocol.rig import load_rig
 from asterism.server import Frame, FrameResult, PoseEstimate, Tracks, localize
 from asterism.server.chain.report import frame_report, report
-from asterism.server.chain.smooth import FILTER, Motion, Motions, estimate, follow, smooth
+from asterism.server.chain.smooth import FILTER, Motion, Motions, estimate, follow, smooth, velocity
 from asterism.server.command.locate import line
 from asterism.server.pose.solve import Lost
 from asterism.server.simulation.demo_rig import DEMO_RIG
@@ -130,15 +130,15 @@ def test_only_what_was_asked_to_be_smoothed_is_changed_and_it_is_labelled(
     motions = Motions.none()
     first = RIG.robots[0].id
     for frame, result in demo_film:
-        before = [message.payload for message in report(frame, result, RIG, 2, 3)]
+        before = [message.payload for message in report(frame, result, RIG, 2)]
         told, after = smooth(result, motions)
         # The memory handed in is unchanged, and so are the frame's own poses.
         assert smooth(result, motions)[0].answers[first].state == told.answers[first].state
         motions = after
-        assert [message.payload for message in report(frame, result, RIG, 2, 3)] == before
+        assert [message.payload for message in report(frame, result, RIG, 2)] == before
         assert all("smoothed" not in robot for robot in line(frame, result)["robots"])
         assert b"smoothed" not in before[0]
-        messages, entries = report(frame, told, RIG, 2, 3), frame_report(frame, told, RIG, 2, 3).robots
+        messages, entries = report(frame, told, RIG, 2), frame_report(frame, told, RIG, 2).robots
         for robot in line(frame, told)["robots"]:
             assert robot["smoothed"] is True
             assert robot["filter"] == FILTER
@@ -147,6 +147,7 @@ def test_only_what_was_asked_to_be_smoothed_is_changed_and_it_is_labelled(
         for message in messages[:-1]:
             pose = decode_odometry(message.payload)
             assert pose.smoothed_by == FILTER
+            assert pose.velocity is not None
             assert decode_odometry(encode_odometry(pose)).smoothed_by == FILTER
         assert len(messages) == len(before)
 
@@ -173,6 +174,29 @@ def test_the_same_three_arguments_give_the_same_bytes(demo_film: list[tuple[Fram
         payloads = []
         for frame, result in demo_film:
             smoothed, motions = smooth(result, motions)
-            payloads += [message.payload for message in report(frame, smoothed, RIG, 2, 3)]
+            payloads += [message.payload for message in report(frame, smoothed, RIG, 2)]
         told.append(payloads)
     assert told[0] == told[1]
+
+
+def test_velocities_are_in_the_robots_frame_and_as_sure_as_they_say(rng: np.random.Generator) -> None:
+    weighted, speed = [], 0.05
+    for _ in range(6):
+        half = SIGMAS[:, None] * np.linalg.qr(rng.standard_normal((6, 6)))[0] * rng.uniform(0.3, 1.5, 6)
+        covariance, start = half @ half.T, random_rotation(rng)
+        motion: Motion | None = None
+        for k in range(150):
+            time_s = k * STEP_NS * 1e-9
+            true = path(speed, time_s, start)
+            motion = follow(motion, 1 + k * STEP_NS, measured(rng, true, covariance), covariance)
+            if k < 60:
+                continue
+            told = velocity(motion)
+            after, before = path(speed, time_s + 1e-4, start), path(speed, time_s - 1e-4, start)
+            linear = true.rotation.T @ (after.position - before.position) / 2e-4
+            angular = true.rotation.T @ log_rotation(after.rotation @ before.rotation.T) / 2e-4
+            error = np.concatenate([told.linear - linear, told.angular - angular])
+            weighted.append(error @ np.linalg.solve(told.covariance, error))
+            assert (np.linalg.eigvalsh(told.covariance) > 0.0).all()
+    # Accelerations that come in bursts are less likely in the filter's mind than on this path.
+    assert 2.0 < np.mean(weighted) < 12.0

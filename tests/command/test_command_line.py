@@ -108,7 +108,7 @@ def test_bad_input_gets_one_sentence_and_exit_code_2(
         ),
         (("serve", DEMO_RIG, frames, "--rate", "0"), "argument --rate: 0, expected a number above 0"),
         (("serve", DEMO_RIG, frames, "--record-frames", "some"), "argument --record-frames: 'some'"),
-        (("serve", DEMO_RIG, frames, "--zenoh", tmp_path / "none.json5"), "cannot be read as a zenoh configuration"),
+        (("serve", DEMO_RIG, frames, "--zenoh", tmp_path / "none.json5"), "none.json5: no such file"),
         (("watch", "a/b"), "robot id 'a/b' holds '/'"),
         (("watch", "--connect", "127.0.0.1"), "endpoint '127.0.0.1': expected"),
         (("replay", frames), "is no recording"),
@@ -169,6 +169,7 @@ def test_unreadable_images_are_named_skipped_and_counted(tmp_path: Path) -> None
 
 
 def test_compare_tells_and_its_exit_code_says_whether_it_is_the_same(tmp_path: Path) -> None:
+    from asterism.protocol.codec import stamped
     from asterism.server import Frame, Tracks, localize
     from asterism.server.chain.report import report
     from asterism.server.simulation.simulate import Scene
@@ -178,7 +179,7 @@ def test_compare_tells_and_its_exit_code_says_whether_it_is_the_same(tmp_path: P
     for index in range(2):
         frame = Frame(scene.render(index, scene.truth(index, 0.0)), START_NS + index, index)
         result, _ = localize(frame, RIG, Tracks.none())
-        made.append((frame, report(frame, result, RIG, 0, 0)))
+        made.append((frame, [stamped(message, 0) for message in report(frame, result, RIG, 0)]))
     a, b = record(tmp_path / "a", made).folder, record(tmp_path / "b", made).folder
     same = asterism("compare", a, b)
     assert same.returncode == 0, same.stderr

@@ -31,7 +31,7 @@ def test_the_file_is_that_of_the_commands() -> None:
     ("words", "offered"),
     [
         (["lo"], ["locate"]),
-        (["re"], ["replay", "review", "recover", "report"]),
+        (["re"], ["reload", "replay", "review", "recover", "report"]),
         (["calibrate", "w"], ["world"]),
         (["locate", "--ind"], ["--independent"]),
         (["calibrate", "camera", "boards/", "--mo"], ["--model"]),

@@ -24,7 +24,7 @@ def test_every_module_is_in_the_extra_that_is_named() -> None:
     for module, (distribution, extra) in MODULES.items():
         assert distribution in distributions(extras[extra]), module
     named = {distribution for distribution, _ in MODULES.values()}
-    wanted = distributions([*PROJECT["dependencies"], *extras["server"], *extras["review"]])
+    wanted = distributions([*PROJECT["dependencies"], *extras["server"], *extras["review"], *extras["metrics"]])
     assert wanted == named
 
 
@@ -33,6 +33,7 @@ def test_every_module_is_in_the_extra_that_is_named() -> None:
     [
         ("numba", "pip install 'asterism-localization[server]'"),
         ("rerun", "pip install 'asterism-localization[review]'"),
+        ("prometheus_client", "pip install 'asterism-localization[metrics]'"),
         ("ruamel.yaml", "ruamel.yaml, which is not installed; install it with: pip install asterism-localization"),
     ],
 )

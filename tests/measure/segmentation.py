@@ -12,7 +12,7 @@ from asterism.protocol.messages import Fate
 from asterism.server.centres.blobs import Blobs, find_blobs
 from asterism.server.identity.plan import LARGEST_SPOT
 from asterism.server.segmentation.segment import Scratch
-from asterism.server.sources.images import read_image
+from asterism.server.sources.images import read_pages, to_grey8
 from tests.helpers import SHARED
 
 ZOOM = 2
@@ -38,7 +38,8 @@ def main(out: Path, photographs: list[Path]) -> None:
     """Write the pictures and say what they show."""
     out.mkdir(parents=True, exist_ok=True)
     for path in photographs:
-        image = read_image(path, None)
+        ((name, pixels),) = read_pages(path, lambda *_: None)
+        image = to_grey8(pixels, None, name)
         height, width = image.shape
         largest = LARGEST_SPOT * float(np.hypot(width, height))
         blobs = find_blobs(image, largest, np.empty((0, 4), np.int64), "edge-model", Scratch.of(height, width))

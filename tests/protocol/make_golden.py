@@ -1,7 +1,10 @@
 """Values whose encoding is fixed for ever, and the golden files made of them: `python -m tests.protocol.make_golden`.
 
-Run it only when the wire format changes on purpose; what changed shows in the JSON beside the bytes.
+Run it only when the wire format changes on purpose; what changed shows in the JSON beside the bytes. The files of
+earlier versions (golden/1) are never made again: today's code must read them.
 """
+
+from dataclasses import replace
 
 import numpy as np
 from google.protobuf.json_format import MessageToJson
@@ -9,26 +12,47 @@ from google.protobuf.message import Message
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.camera import Camera
-from asterism.protocol.codec import encode_calibration, encode_odometry, encode_rig, encode_transforms, to_bytes
+from asterism.protocol.codec import (
+    decode_rig,
+    encode_calibration,
+    encode_odometry,
+    encode_rig,
+    encode_transforms,
+    to_bytes,
+)
 from asterism.protocol.geometry import Pose
-from asterism.protocol.messages import RobotPose
+from asterism.protocol.messages import PROTOCOL, RobotPose, Velocity
 from asterism.protocol.rig import Rig, Robot
 from tests.helpers import REPOSITORY
 
-GOLDEN = REPOSITORY / "protocol" / "golden"
+GOLDEN = REPOSITORY / "protocol" / "golden" / str(PROTOCOL)
+SESSION = 1_234_567_890_123_456_789
 EXPOSED_NS = 1_795_398_896_123_456_789
+
+_COUNTED = np.arange(36.0).reshape(6, 6)
 
 ROBOT_POSE = RobotPose(
     robot="alpha",
     frame_id="world",
     pose=Pose(np.array([0.125, -0.25, 1.5]), np.array([0.5, -0.5, 0.5, 0.5])),
-    covariance=np.arange(36.0).reshape(6, 6) / 1024,
+    covariance=(_COUNTED + _COUNTED.T) / 4096 + np.diag([0.125, 0.25, 0.25, 0.5, 0.5, 0.5]),
     state="TILT_AMBIGUOUS",
     leds=5,
     rms_px=0.0125,
     sequence=42,
     exposed_ns=EXPOSED_NS,
     published_ns=EXPOSED_NS + 3_000_000,
+    session=SESSION,
+)
+
+SMOOTHED_POSE = replace(
+    ROBOT_POSE,
+    state="TRACKED",
+    leds=6,
+    smoothed_by="interacting multiple model, constant velocity",
+    velocity=Velocity(
+        np.array([0.125, -0.0625, 0.0]), np.array([0.0, 0.25, -0.5]), ROBOT_POSE.covariance / 16, (0.001, 0.25)
+    ),
 )
 
 CAMERA = Camera(
@@ -73,6 +97,8 @@ def frame_report() -> "pb.FrameReport":
         solved_ns=EXPOSED_NS + 2_000_000,
         published_ns=EXPOSED_NS + 3_000_000,
         frame_id="world",
+        session=SESSION,
+        clock=pb.ARRIVAL,
         spots=pb.Spots(
             x=[640.25, 100.5, 3.0],
             y=[512.75, 200.5, 4.0],
@@ -106,8 +132,23 @@ def status() -> "pb.Status":
     return pb.Status(
         time_ns=EXPOSED_NS, source="sim", frames=600, frames_dropped=1, rate_hz=60.0, solve_p50_s=0.002,
         solve_p99_s=0.004, latency_p50_s=0.003, latency_p99_s=0.006, rejected={"TOO_SMALL": 4, "ELONGATED": 2},
-        robots={"TRACKED": 4, "LOST": 1},
+        robots={"TRACKED": 4, "LOST": 1}, messages_not_recorded=3, session=SESSION,
     )  # fmt: skip
+
+
+def beat() -> "pb.Beat":
+    """A server's sign of life."""
+    return pb.Beat(session=SESSION, sequence=7, time_ns=EXPOSED_NS, monotonic_ns=98_765_432_109, rate=1.0)
+
+
+def rig_report() -> "pb.RigReport":
+    """A reply: the rig, and who answers."""
+    message = decode_rig(encode_rig(RIG))
+    message.version = "0.2.0"
+    message.MergeFrom(
+        pb.RigReport(host="bench", pid=4711, session=SESSION, started_ns=EXPOSED_NS, time_ns=EXPOSED_NS, rate=1.0)
+    )
+    return message
 
 
 def golden() -> dict[str, tuple[bytes, type[Message]]]:
@@ -119,9 +160,11 @@ def golden() -> dict[str, tuple[bytes, type[Message]]]:
     transforms = [("world", "alpha", ROBOT_POSE.pose), ("alpha", "alpha/tool", Pose.identity())]
     return {
         "odometry": (encode_odometry(ROBOT_POSE), Odometry),
+        "odometry_smoothed": (encode_odometry(SMOOTHED_POSE), Odometry),
         "frame_report": (to_bytes(frame_report()), pb.FrameReport),
         "status": (to_bytes(status()), pb.Status),
-        "rig_report": (encode_rig(RIG), pb.RigReport),
+        "beat": (to_bytes(beat()), pb.Beat),
+        "rig_report": (to_bytes(rig_report()), pb.RigReport),
         "transforms": (encode_transforms(EXPOSED_NS, transforms), FrameTransforms),
         "calibration": (encode_calibration(EXPOSED_NS, CAMERA), CameraCalibration),
     }
@@ -135,7 +178,7 @@ def as_json(payload: bytes, kind: type[Message]) -> str:
 
 
 if __name__ == "__main__":
-    GOLDEN.mkdir(exist_ok=True)
+    GOLDEN.mkdir(parents=True, exist_ok=True)
     for name, (payload, kind) in golden().items():
         (GOLDEN / f"{name}.bin").write_bytes(payload)
         (GOLDEN / f"{name}.json").write_text(as_json(payload, kind))

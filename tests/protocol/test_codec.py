@@ -1,9 +1,11 @@
 """Bytes on the wire: golden files both ways, round trips, refusals, and the .proto beside the code made of it."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.json_format import Parse
@@ -19,9 +21,12 @@ from asterism.protocol.codec import (
     encode_annotations,
     encode_image,
     encode_odometry,
+    in_session,
+    stamped,
     to_bytes,
 )
 from asterism.protocol.errors import InputError
+from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message
 from asterism.protocol.schemas import descriptor_set
 from tests.helpers import REPOSITORY, assert_poses_close
 from tests.protocol import make_golden
@@ -36,13 +41,55 @@ def test_golden_bytes(name: str) -> None:
     assert to_bytes(Parse(told, kind())) == payload
 
 
+def test_messages_of_the_first_version_are_read() -> None:
+    golden = make_golden.GOLDEN.parent / "1"
+    pose = decode_odometry((golden / "odometry.bin").read_bytes())
+    assert (pose.robot, pose.sequence, pose.session) == ("alpha", 42, 0)
+    assert pose.published_ns == make_golden.ROBOT_POSE.published_ns
+    report = decode_frame_report((golden / "frame_report.bin").read_bytes())
+    assert (report.published_ns, report.session, report.clock) == (pose.published_ns, 0, pb.CLOCK_UNSPECIFIED)
+    assert decode_rig((golden / "rig_report.bin").read_bytes()).protocol == 0
+    assert decode_status((golden / "status.bin").read_bytes()).frames == 600
+
+
+def test_stamping_changes_nothing_but_the_stamp() -> None:
+    unstamped = replace(make_golden.ROBOT_POSE, published_ns=0)
+    message = Message("key", ODOMETRY, encode_odometry(unstamped), 1, 0, 42)
+    out = stamped(message, make_golden.ROBOT_POSE.published_ns)
+    assert out.payload == encode_odometry(make_golden.ROBOT_POSE)
+    assert out.publish_ns == make_golden.ROBOT_POSE.published_ns
+    again = decode_odometry(in_session(out, 9).payload)
+    assert (again.session, again.published_ns) == (9, out.publish_ns)
+    report = make_golden.frame_report()
+    published_ns, report.published_ns = report.published_ns, 0
+    out = stamped(Message("key", FRAME_REPORT, to_bytes(report), 1, 0, 42), published_ns)
+    assert decode_frame_report(out.payload) == make_golden.frame_report()
+    assert decode_frame_report(in_session(out, 9).payload).session == 9
+
+
 def test_odometry_round_trip() -> None:
     told = make_golden.ROBOT_POSE
     back = decode_odometry(encode_odometry(told))
     assert_poses_close(back.pose, told.pose, 0.0, 1e-12)
     np.testing.assert_array_equal(back.covariance, told.covariance)
-    for name in ("robot", "frame_id", "state", "leds", "rms_px", "sequence", "exposed_ns", "published_ns"):
+    for name in ("robot", "frame_id", "state", "leds", "rms_px", "sequence", "exposed_ns", "published_ns", "session"):
         assert getattr(back, name) == getattr(told, name), name
+
+
+def test_a_velocity_round_trips_and_half_of_one_is_refused() -> None:
+    told = make_golden.SMOOTHED_POSE.velocity
+    back = decode_odometry(encode_odometry(make_golden.SMOOTHED_POSE)).velocity
+    assert told is not None
+    assert back is not None
+    for name in ("linear", "angular", "covariance"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(told, name))
+    assert back.accelerations == told.accelerations
+    assert decode_odometry(encode_odometry(make_golden.ROBOT_POSE)).velocity is None
+    half = Odometry()
+    half.ParseFromString(encode_odometry(make_golden.SMOOTHED_POSE))
+    del half.velocity_covariance[30:]
+    with pytest.raises(InputError, match="no pose of Asterism"):
+        decode_odometry(half.SerializeToString())
 
 
 @pytest.mark.parametrize(

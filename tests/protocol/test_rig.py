@@ -125,7 +125,7 @@ LED = "      - [0.050, 0.000, 0.012]\n"
         ("  bravo:", "  bra/vo:", "the robot's id 'bra/vo' holds '/'"),
         ("  bravo:", "  '*':", "the robot's id '*' holds '*'"),
         ("  bravo:", "  '':", "the robot's id '' is empty"),
-        ("  bravo:", "  7:", "robots: key 7 is 7, expected text; put it in quotes"),
+        ("  bravo:", "  7:", "robots: key 7 is no text, expected text; put it in quotes"),
         ("  bravo:", "  alpha:", "key 'alpha' is given twice"),
         ("robots:", "robots: []\nrobot:", "unknown key 'robot'; did you mean 'robots'?"),
     ],

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from asterism.clients import PoseClient
+from asterism.protocol.codec import decode_frame_report, in_session
 from asterism.protocol.geometry import Pose, angle_between
+from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message
 from asterism.recordings.reader import Recording
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.helpers import shared
@@ -73,7 +75,7 @@ def test_wire_recording_and_replay_have_the_same_bytes(
     def by_key(pairs: list[tuple[str, bytes]]) -> dict[str, list[bytes]]:
         keyed: dict[str, list[bytes]] = {}
         for key, payload in pairs:
-            if not key.endswith("/status"):
+            if not key.endswith(("/status", "/beat")):  # told by the clock
                 keyed.setdefault(key.removeprefix("replay/"), []).append(payload)
         return keyed
 
@@ -86,7 +88,15 @@ def test_wire_recording_and_replay_have_the_same_bytes(
         done = asterism("replay", folder, "--connect", router, "--speed", "2")
         assert done.returncode == 0, done.stderr
         again = listener.finish()
-    assert by_key([(entry["key"], base64.b64decode(entry["payload"])) for entry in again]) == recorded
+    played = by_key([(entry["key"], base64.b64decode(entry["payload"])) for entry in again])
+    # Byte for byte, and at the end the session of the play.
+    sessions = {decode_frame_report(payload).session for payload in played["asterism/demo/frame"]}
+    assert len(sessions) == 1
+    for key, payloads in recorded.items():
+        kind = ODOMETRY if key.endswith("odometry") else FRAME_REPORT
+        told = [in_session(Message(key, kind, payload, 0, 0, 0), *sessions).payload for payload in payloads]
+        assert played[key] == told
+    assert played.keys() == recorded.keys()
 
 
 def test_the_recorded_frames_solved_again_give_the_same_poses(
@@ -271,7 +281,7 @@ def test_as_live_is_refused_while_the_server_is_alive(film: Path, served: tuple[
         wait_for_line(server, "serving 5 robots")
         refused = asterism("replay", served[1], "--as-live", "--connect", endpoint)
     assert refused.returncode == 2
-    assert "--as-live: the server of camera 'demo' is alive" in refused.stderr
+    assert "camera 'demo' is being served already, by process" in refused.stderr
 
 
 def test_an_endpoint_in_use_is_refused(film: Path) -> None:

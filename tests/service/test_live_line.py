@@ -69,7 +69,7 @@ class Recorder:
 
     folder = "recordings/cam-1"
     problem = ""
-    bytes_written = 0
+    bytes_written = frames_left_out = messages_left_out = 0
     free = 10**12
 
     def bytes_free(self) -> int:
@@ -101,9 +101,17 @@ def test_the_rate_is_said_once_and_a_full_disk_ahead_of_time() -> None:
     recorder.free = 50_000_000 * 100
     run(5)
     assert len(said) == 3
-    recorder.problem = "the recording ended early"
+    recorder.problem = "only poses are recorded at the moment"
     run(3)
-    assert (disk.text, said[3:]) == ("recording ended", ["the recording ended early"])
+    assert (disk.text, said[3:]) == ("recording disturbed", ["only poses are recorded at the moment"])
+    recorder.problem, recorder.frames_left_out = "", 7
+    run(3)
+    assert said[4:] == ["recordings/cam-1: everything is recorded again; 7 frames and 0 messages are missing so far"]
+    recorder.messages_left_out = 3
+    run(5)
+    assert said[5:] == [
+        "warning: recordings/cam-1: the recorder cannot keep up: 7 frames and 3 messages are missing so far"
+    ]
 
 
 def test_what_does_not_grow_never_fills_the_disk() -> None:

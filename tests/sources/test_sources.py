@@ -16,9 +16,10 @@ from asterism.protocol.rig import Capture, Rig
 from asterism.server.chain.frame import Frame
 from asterism.server.service.threads import Feed, Ticker
 from asterism.server.sources.camera import Camera
-from asterism.server.sources.images import UnreadableImage, read_image, to_grey8
+from asterism.server.sources.images import UnreadableImage, read_pages, to_grey8
 from asterism.server.sources.open_source import open_source
 from asterism.server.sources.paced import paced
+from asterism.server.sources.session_clock import SessionClock
 from asterism.server.sources.simulated import Simulated
 from asterism.server.sources.video import VideoFile
 from tests.rigs import make_camera, make_rig
@@ -29,6 +30,13 @@ RIG = make_rig(2, camera=SMALL)
 
 def silent(text: str) -> None:
     """Nobody listens."""
+
+
+def read_image(path: Path, bits: int | None) -> NDArray[np.uint8]:
+    """The one image of a file."""
+    ((name, image),) = read_pages(path, lambda *_: None)
+    assert name == path.name
+    return to_grey8(image, bits, name)
 
 
 def pattern(seed: int) -> NDArray[np.uint8]:
@@ -206,17 +214,17 @@ def numbered(count: int) -> Iterator[Frame]:
 
 def test_paced_frames_keep_their_spacing_and_are_stamped_when_played() -> None:
     before = time.time_ns()
-    stamps = [frame.exposed_ns for frame in paced(numbered(6), None, lambda: False)]
+    stamps = [frame.exposed_ns for frame in paced(numbered(6), None, lambda: False, SessionClock())]
     # Never early; how late is up to the machine.
     assert all(stamp >= before + k * 10_000_000 for k, stamp in enumerate(stamps))
     slow = (Frame(pattern(k), k * 10**10, k) for k in range(6))
-    faster = [frame.exposed_ns for frame in paced(slow, 1000.0, lambda: False)]
+    faster = [frame.exposed_ns for frame in paced(slow, 1000.0, lambda: False, SessionClock())]
     assert faster[-1] - faster[0] < 5 * 10**9
 
 
 def test_pacing_ends_when_it_is_told_to() -> None:
     played = []
-    for frame in paced(numbered(1000), 1.0, lambda: len(played) >= 1):
+    for frame in paced(numbered(1000), 1.0, lambda: len(played) >= 1, SessionClock()):
         played.append(frame)
     assert len(played) == 1
 

@@ -14,8 +14,10 @@ import numpy as np
 
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose
+from asterism.protocol.text_file import read_text
 from asterism.protocol.yaml_file import Section, describe
 
+LONGEST = 256 << 20  # bytes of a survey
 _LINE_KEYS = ("frame", "robots", "exposed_ns", "lost")
 _ROBOT_KEYS = (
     *("id", "position", "orientation"),
@@ -60,16 +62,7 @@ def read_survey(path: Path, robots: Collection[str], orientations: bool = True) 
 
     Raises InputError with file, line, what was found and what is accepted.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder, expected a file of JSON lines as asterism locate writes them") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is no text in UTF-8, expected JSON lines as asterism locate writes them") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    text = read_text(path, "JSON lines as asterism locate writes them", LONGEST)
     frames: list[SurveyedFrame] = []
     lines: dict[str, int] = {}
     for number, line in enumerate(text.splitlines(), start=1):

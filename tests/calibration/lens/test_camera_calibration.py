@@ -22,7 +22,7 @@ from asterism.server.calibration.lens.layout_match import match_layout
 from asterism.server.calibration.lens.targets import Target, parse_target
 from asterism.server.chain.frame import Frame
 from asterism.server.service.telling import telling
-from asterism.server.sources.images import read_image
+from asterism.server.sources.images import read_pages, to_grey8
 from tests.calibration.lens.boards import FISHEYE, Lens, chessboard, discs, poses, render
 from tests.helpers import conic_centres, shared
 from tests.servers import asterism
@@ -328,7 +328,8 @@ def test_the_real_chessboard() -> None:
     target = parse_target("chessboard:9x6:0.025")
     views = []
     for path in sorted(folder.glob("*.jpg")):
-        seen = find_points(read_image(path, None), target)
+        ((name, image),) = read_pages(path, lambda *_: None)
+        seen = find_points(to_grey8(image, None, name), target)
         if seen is not None:
             views.append(View(path.name, seen))
     assert len(views) == 13

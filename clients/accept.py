@@ -1,0 +1,74 @@
+"""What a client takes for a pose: a forged or damaged message must not drive a robot."""
+
+import math
+
+from asterism.protocol.geometry import Floats
+from asterism.protocol.messages import RobotPose
+
+LOCATED = ("TRACKED", "TILT_AMBIGUOUS")
+LEDS = range(4, 7)  # that a pose can rest on
+LONGEST_S = 600.0  # from exposure to publishing
+_NS = 1 << 63
+_UNEVEN = 1e-6  # of a covariance's two halves, as a correlation
+
+
+def problem(pose: RobotPose, robot: str) -> str | None:
+    """Why that is no pose of ``robot``, or None if it may be one."""
+    if pose.robot != robot:
+        return f"is of robot {pose.robot[:40]!r}"
+    if pose.state not in LOCATED:
+        return f"has state {pose.state[:40]!r}, expected {' or '.join(LOCATED)}"
+    if pose.leds not in LEDS:
+        return f"rests on {_number(pose.leds)} LEDs, expected {LEDS[0]} to {LEDS[-1]}"
+    if not _is_finite(pose.position):
+        return "has a position that is not finite"
+    if not (math.isfinite(pose.rms_px) and pose.rms_px >= 0.0):
+        return f"has residuals of {pose.rms_px} px"
+    if not is_covariance(pose.covariance):
+        return "has a covariance that is none"
+    velocity = pose.velocity
+    if velocity is not None and not (
+        _is_finite(velocity.linear)
+        and _is_finite(velocity.angular)
+        and is_covariance(velocity.covariance)
+        and all(0.0 <= density < math.inf for density in velocity.accelerations)
+    ):
+        return "has a velocity that is none"
+    return _times(pose)
+
+
+def is_covariance(matrix: Floats) -> bool:
+    """Finite, symmetric, with variances above 0 and no correlation beyond 1: (n, n)."""
+    rows = matrix.tolist()  # plain numbers: numpy is slow at small arrays
+    variances = [rows[k][k] for k in range(len(rows))]
+    if not all(0.0 < variance < math.inf for variance in variances):
+        return False
+    sigmas = [math.sqrt(variance) for variance in variances]
+    for i, row in enumerate(rows):
+        for j in range(i):
+            most = sigmas[i] * sigmas[j]
+            if not (abs(row[j]) <= (1.0 + _UNEVEN) * most and abs(row[j] - rows[j][i]) <= _UNEVEN * most):
+                return False
+    return True
+
+
+def _is_finite(vector: Floats) -> bool:
+    return all(map(math.isfinite, vector.tolist()))
+
+
+def _times(pose: RobotPose) -> str | None:
+    if not 0 <= pose.sequence < 2 * _NS:
+        return f"has sequence {_number(pose.sequence)}"
+    if not 0 <= pose.session < 2 * _NS:
+        return f"has session {_number(pose.session)}"
+    if not (0 < pose.exposed_ns < _NS and 0 <= pose.published_ns < _NS):
+        return f"was exposed at {_number(pose.exposed_ns)} and published at {_number(pose.published_ns)} ns"
+    took_s = (pose.published_ns - pose.exposed_ns) * 1e-9
+    if not 0.0 <= took_s <= LONGEST_S:
+        return f"was published {took_s:.3f} s after exposure, expected 0 to {LONGEST_S:.0f}"
+    return None
+
+
+def _number(value: int) -> str:
+    """A whole number, if it is not absurdly long."""
+    return str(value) if abs(value) < 10 * _NS else "a number of many digits"

@@ -1,0 +1,44 @@
+"""How chunks are packed, and by what damage to them shows."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import lz4.frame
+import zstandard
+
+from asterism.recordings.records import Buffer
+
+ZSTD_LEVEL = 1
+
+
+class Packing(NamedTuple):
+    """``compression`` is MCAP's word for it; ``crc``: MCAP's check sum, of the chunk as it was before."""
+
+    compression: str
+    crc: bool = True
+
+    def packer(self) -> Callable[[Sequence[Buffer]], list[Buffer]]:
+        """What packs a chunk's pieces; those of a plain one stay where they are."""
+        if self.compression == "zstd":
+            zstd = zstandard.ZstdCompressor(level=ZSTD_LEVEL, write_checksum=True)
+            if not self.crc:
+                zstd = zstandard.ZstdCompressor(compression_params=_LONG_RUNS)
+            return lambda parts: [zstd.compress(_joined(parts))]
+        if self.compression == "lz4":
+            return lambda parts: [lz4.frame.compress(_joined(parts))]
+        return list
+
+
+def _joined(parts: Sequence[Buffer]) -> Buffer:
+    return parts[0] if len(parts) == 1 else b"".join(parts)
+
+
+# Level 1 with a small table and long matches: a quarter faster where nearly all is alike, and as small.
+_LONG_RUNS = zstandard.ZstdCompressionParameters(
+    window_log=16, hash_log=10, chain_log=6, search_log=1, min_match=7, strategy=1, write_checksum=True
+)
+# What costs the processor least for whole frames: no compression.
+PLAIN = Packing("")
+ZSTD_AND_CRC = Packing("zstd")
+# Under zstd's own check sum, which takes a third of the time of MCAP's: for what is large and packs to little.
+ZSTD = Packing("zstd", crc=False)
