@@ -1,5 +1,6 @@
 """For all tests: the chain is compiled first; one seeded generator a test, named after it, so that failures repeat."""
 
+import signal
 import threading
 import zlib
 from collections.abc import Iterator
@@ -18,6 +19,12 @@ def _compiled(pytestconfig: pytest.Config) -> None:
     """No test's clock or output is disturbed by what happens only at the first start on a machine, which is shown."""
     with pytestconfig.pluginmanager.getplugin("capturemanager").global_and_fixture_disabled(), telling():
         warm_up(BLOBS, *ESTIMATORS, LOCALIZE, SIMULATE, CHECK, DESIGN)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _interruptible() -> None:
+    """A shell starts what runs in its background deaf to Ctrl-C, and the processes of tests would inherit that."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session", autouse=True)

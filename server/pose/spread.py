@@ -7,6 +7,7 @@ lies beyond it, which costs the typical pose little, since few have any.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -70,7 +71,7 @@ def spread(x, y, other_x, other_y, alone, step, valley, covariance):
     for closer in range(CLOSER):
         step_x, step_y = (0.5 * (x1 - x0) + margin_x) / FINE_X, (0.5 * (y1 - y0) + margin_y) / FINE_Y
         x0, y0 = x0 - margin_x, y0 - margin_y
-        left, right, low, high = _weigh(lowest, x0, y0, step_x, step_y, dx, dy, half, valley)
+        left, right, low, high = _weigh(lowest, Grid(x0, y0, step_x, step_y), dx, dy, half, valley)
         if (right - left >= RESOLVED and high - low >= RESOLVED) or closer == CLOSER - 1:
             break
         margin_x, margin_y = step_x, step_y
@@ -86,8 +87,17 @@ def spread(x, y, other_x, other_y, alone, step, valley, covariance):
             break
 
 
+class Grid(NamedTuple):
+    """Tilts on a grid: the first, and how far apart they are in x and y."""
+
+    x0: float
+    y0: float
+    step_x: float
+    step_y: float
+
+
 @compiled
-def _weigh(lowest, x0, y0, step_x, step_y, dx, dy, half, valley):
+def _weigh(lowest, grid, dx, dy, half, valley):
     """Fill ``fine`` with what tilts on a grid cost more than the ``lowest``, and ``beyond`` with the sums of the
     products of their powers, each weighted by how likely it is.
 
@@ -97,11 +107,11 @@ def _weigh(lowest, x0, y0, step_x, step_y, dx, dy, half, valley):
     powers[:, :] = 0.0
     left, right, low, high = 2 * FINE_X, 0, 2 * FINE_Y, 0
     for i in range(2 * FINE_X + 1):
-        at_x = x0 + i * step_x
+        at_x = grid.x0 + i * grid.step_x
         a, b, c, d, e = along_y(valley.cost, at_x)
         m0 = m1 = m2 = m3 = m4 = 0.0
         for j in range(2 * FINE_Y + 1):
-            at_y = y0 + j * step_y
+            at_y = grid.y0 + j * grid.step_y
             above = a - lowest + at_y * (b + at_y * (c + at_y * (d + at_y * e)))
             if at_x * dx + at_y * dy >= half:
                 above = 2.0 * DOUBT
