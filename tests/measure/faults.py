@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 from asterism.protocol import keys
-from asterism.protocol.codec import encode_odometry
+from asterism.protocol.codec import decode_frame_report, encode_odometry
 from asterism.protocol.messages import FRAME_REPORT
 from asterism.protocol.network import client_config
 from asterism.protocol.rig import load_rig
@@ -297,20 +297,19 @@ def judge(place: Place, back_s: float) -> Judged:
         right = T_world_camera.map(next(t.T_camera_robot.position for t in truth if t.robot == ROBOT)[None])[0]
         wrong += bool(np.linalg.norm(np.subtract(line["position"], right)) > WRONG_M)
         old += (line["wall"] - line["exposed"]) * 1e-9 > OLDEST_S
-    told = [line["exposed"] for line in place.client.lines if "exposed" in line]
+    told = [(line["session"], line["exposed"]) for line in place.client.lines if "exposed" in line]
     lost = max((_lost_s(folder, told) for folder in place.folder.iterdir()), default=0.0)
     return Judged(back_s, wrong, old, errors.count("Traceback"), lost)
 
 
-def _lost_s(folder: Path, told: list[int]) -> float:
-    """How much longer the client was told poses than the recording holds them, s; the recording is recovered first."""
+def _lost_s(folder: Path, told: list[tuple[int, int]]) -> float:
+    """How much longer the client was told poses of a session than the recording holds, s; it is recovered first."""
     asterism("recover", folder)
-    times = [message.log_ns for message in Recording(folder).messages() if message.kind.schema == FRAME_REPORT.schema]
-    if not times:
-        return 0.0
-    # What comes more than 3 s later is another server's.
-    later = [exposed for exposed in told if times[-1] < exposed < times[-1] + 3_000_000_000]
-    return (max(later) - times[-1]) * 1e-9 if later else 0.0
+    last: dict[int, int] = {}
+    for message in Recording(folder).messages():
+        if message.kind.schema == FRAME_REPORT.schema:
+            last[decode_frame_report(message.payload).session] = message.log_ns
+    return max([(exposed - last[session]) * 1e-9 for session, exposed in told if session in last] or [0.0])
 
 
 def main() -> None:
