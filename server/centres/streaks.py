@@ -30,28 +30,40 @@ FEWEST = 4  # spots whose moments tell a motion
 
 @compiled
 def _is_drawn_out(spots, rows, rotation, t):
-    """Whether the spots of a robot, rows (6,) of the table, are streaks: on average no discs at T_camera_plane."""
-    # Stretched along the image of the normal, across which a tilted disc is flat, a disc is round.
+    """Whether the spots of a robot, rows (6,) of the table, are streaks: on average no discs at T_camera_plane.
+
+    A tilted disc is flat along the image of its normal, the less so the more the lens blurs it. So what it is stretched
+    by there, to be round, is asked of the spots themselves, between nothing and what the tilt alone would make it.
+    """
     ex = rotation[0, 2] - t[0] * rotation[2, 2] / t[2]
     ey = rotation[1, 2] - t[1] * rotation[2, 2] / t[2]
     length = max(math.sqrt(ex * ex + ey * ey), 1e-9)
     ex, ey = ex / length, ey / length
     facing = abs(rotation[0, 2] * t[0] + rotation[1, 2] * t[1] + rotation[2, 2] * t[2])
-    more = math.sqrt(t[0] ** 2 + t[1] ** 2 + t[2] ** 2) / max(facing, 0.1) - 1.0
-    p, q, r = 1.0 + more * ex * ex, more * ex * ey, 1.0 + more * ey * ey
+    most = (math.sqrt(t[0] ** 2 + t[1] ** 2 + t[2] ** 2) / max(facing, 0.1)) ** 2
+    along = across = 0.0
+    for k in rows:
+        if k >= 0:
+            ee, _, ff = _turned(spots[k], ex, ey)
+            along, across = along + ee, across + ff
+    stretch = min(max(across / max(along, 1e-9), 1.0), most)
     drawn, count = 0.0, 0
     for k in rows:
         if k >= 0:
-            a2, b2, angle = spots[k, SEMI_A] ** 2, spots[k, SEMI_B] ** 2, spots[k, ANGLE]
-            c, s = math.cos(angle), math.sin(angle)
-            xx, xy, yy = a2 * c * c + b2 * s * s, (a2 - b2) * c * s, a2 * s * s + b2 * c * c
-            u = p * p * xx + 2.0 * p * q * xy + q * q * yy
-            v = p * q * xx + (p * r + q * q) * xy + q * r * yy
-            w = q * q * xx + 2.0 * q * r * xy + r * r * yy
-            half = math.sqrt((0.5 * (u - w)) ** 2 + v * v)
-            drawn += (0.5 * (u + w) + half) / max(0.5 * (u + w) - half, 1e-3)
+            ee, ef, ff = _turned(spots[k], ex, ey)
+            u, v = stretch * ee, math.sqrt(stretch) * ef
+            half = math.sqrt((0.5 * (u - ff)) ** 2 + v * v)
+            drawn += (0.5 * (u + ff) + half) / max(0.5 * (u + ff) - half, 1e-3)
             count += 1
     return drawn > DRAWN_OUT**2 * count
+
+
+@compiled
+def _turned(spot, ex, ey):
+    """The spot's squared semi-axes as a matrix, along the direction (ex, ey), mixed, and across it."""
+    a2, b2, angle = spot[SEMI_A] ** 2, spot[SEMI_B] ** 2, spot[ANGLE]
+    c, s = math.cos(angle) * ex + math.sin(angle) * ey, math.sin(angle) * ex - math.cos(angle) * ey
+    return a2 * c * c + b2 * s * s, (b2 - a2) * c * s, a2 * s * s + b2 * c * c
 
 
 @compiled
