@@ -25,11 +25,10 @@ import numpy as np
 
 from asterism.server.centres.blurred_ellipse import distance_to_ellipse
 from asterism.server.centres.edge_steps import BLUR_PX
-from asterism.server.centres.near_spots import MOST_NEIGHBOURS, neighbours_of
+from asterism.server.centres.near_spots import MOST_NEIGHBOURS, in_order, neighbours_of
 from asterism.server.centres.own_light import Ring, usual_surroundings, widen
 from asterism.server.centres.window import leave_out
 from asterism.server.compiled import compiled, compiled_sums
-from asterism.server.segmentation.order import ascending
 from asterism.server.segmentation.pixels import COUNTS, GREY, LANES, PX, PY, ZERO, Box, f32, gather_box, pad, room_for
 from asterism.server.segmentation.spot_table import (
     ANGLE,
@@ -206,12 +205,8 @@ def find_common_light(image, spots, robots, centres, covariances, commons):
     seen; ``centres`` (n, 2) px and ``covariances`` (n, 3) px^2 are those of the spots. Returns how many were widened.
     """
     commons[:, :] = 0.0
-    order = ascending(spots[:, X])
-    places = np.empty(spots.shape[0], np.int64)
-    widest = largest = 0.0
-    for place in range(order.shape[0]):
-        places[order[place]] = place
-        widest = max(widest, spots[place, SEMI_A])
+    order, places, widest = in_order(spots)
+    largest = 0.0
     for k in robots.flat:
         if k >= 0:
             largest = max(largest, spots[k, SEMI_A])

@@ -7,10 +7,9 @@ import numpy as np
 from asterism.server.centres.centre import GAIN
 from asterism.server.centres.edge_steps import BLUR_PX
 from asterism.server.centres.leaning import fit_leaning
-from asterism.server.centres.near_spots import MOST_NEIGHBOURS, neighbours_of
+from asterism.server.centres.near_spots import MOST_NEIGHBOURS, in_order, neighbours_of
 from asterism.server.compiled import compiled
-from asterism.server.segmentation.order import ascending
-from asterism.server.segmentation.spot_table import ANGLE, MISFIT, SEMI_A, SEMI_B, SHOULDER, X
+from asterism.server.segmentation.spot_table import ANGLE, MISFIT, SEMI_A, SEMI_B, SHOULDER
 
 # The light beside a spot is no exact ellipse: by how much more than noise the centre scatters, variances, and where a
 # third light was needed; then it is off by a share of how far it was moved, too. So rendered (see `own_light`).
@@ -67,12 +66,7 @@ def refine_leaning(image, spots, robots, centres, covariances):
     widened where nothing explains the spot; returns how many were changed.
     """
     changed = 0
-    order = ascending(spots[:, X])
-    places = np.empty(spots.shape[0], np.int64)
-    widest = 0.0
-    for place in range(order.shape[0]):
-        places[order[place]] = place
-        widest = max(widest, spots[place, SEMI_A])
+    order, places, widest = in_order(spots)
     neighbours, apart = np.empty((MOST_NEIGHBOURS, 3)), np.empty((MOST_NEIGHBOURS, 3))
     other, out = np.empty(6), np.empty(7)
     shape = np.empty(4)

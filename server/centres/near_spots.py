@@ -2,7 +2,10 @@
 
 import math
 
+import numpy as np
+
 from asterism.server.compiled import compiled
+from asterism.server.segmentation.order import ascending
 from asterism.server.segmentation.spot_table import (
     ANGLE,
     AT_EDGE,
@@ -20,6 +23,18 @@ NEIGHBOUR_REACH_PX = 9.0  # spots farther apart than this, edge to edge, do not 
 MOST_NEIGHBOURS = 8
 TOUCHING_PX = 4.0  # a spot that was split from another is fitted together with it if it is this near
 LARGEST_LEANING = 3.0  # and not this many times larger: a lamp is no round Gaussian
+
+
+@compiled
+def in_order(spots):
+    """For `neighbours_of`: rows of ``spots`` ordered by x, the place of every row there, the widest semi-axis."""
+    order = ascending(spots[:, X])
+    places = np.empty(spots.shape[0], np.int64)
+    widest = 0.0
+    for place in range(order.shape[0]):
+        places[order[place]] = place
+        widest = max(widest, spots[place, SEMI_A])
+    return order, places, widest
 
 
 @compiled

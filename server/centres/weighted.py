@@ -14,10 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from asterism.server.centres.near_spots import MOST_NEIGHBOURS, neighbours_of
+from asterism.server.centres.near_spots import MOST_NEIGHBOURS, in_order, neighbours_of
 from asterism.server.centres.window import NEIGHBOUR_MARGIN_PX
 from asterism.server.compiled import compiled, compiled_sums
-from asterism.server.segmentation.order import ascending
 from asterism.server.segmentation.spot_table import (
     LEVEL,
     SEMI_A,
@@ -127,12 +126,7 @@ def weigh_spots(image, spots, robots, centres):
     seen; ``centres`` (n, 2) px are changed where the mean lies in the spot.
     """
     changed = 0
-    order = ascending(spots[:, X])
-    places = np.empty(spots.shape[0], np.int64)
-    widest = 0.0
-    for place in range(order.shape[0]):
-        places[order[place]] = place
-        widest = max(widest, spots[place, SEMI_A])
+    order, places, widest = in_order(spots)
     neighbours, other = np.empty((MOST_NEIGHBOURS, 3)), np.empty(6)
     for k in robots.ravel():
         if k < 0:

@@ -5,7 +5,6 @@ T.81, markers), TIFF 6.0 and BigTIFF (directories), BMP (its info header).
 """
 
 import struct
-from typing import NamedTuple
 
 MOST_PAGES = 100_000
 MOST_PIXELS = 1 << 28  # larger than any camera's
@@ -20,14 +19,8 @@ class NoImage(Exception):
     """Bytes that are no whole image; the text says what is wrong with them."""
 
 
-class Header(NamedTuple):
-    """What headers say of an image file: width and height of every page, px."""
-
-    sizes: list[tuple[int, int]]
-
-
-def header_of(data: bytes) -> Header:
-    """The header of a PNG, JPEG, TIFF or BMP file. Raises NoImage."""
+def page_sizes(data: bytes) -> list[tuple[int, int]]:
+    """Width and height, px, of every page of a PNG, JPEG, TIFF or BMP file. Raises NoImage."""
     try:
         sizes = _sizes(data)
     except (struct.error, IndexError):
@@ -37,7 +30,7 @@ def header_of(data: bytes) -> Header:
             raise NoImage("is no whole image")
         if width * height > MOST_PIXELS:
             raise NoImage(f"claims to be {width}x{height}, larger than any camera's image")
-    return Header(sizes)
+    return sizes
 
 
 def _sizes(data: bytes) -> list[tuple[int, int]]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from asterism.protocol.errors import InputError
 from asterism.protocol.text_file import read_bytes
-from asterism.server.sources.image_headers import NoImage, header_of
+from asterism.server.sources.image_headers import NoImage, page_sizes
 
 EXTENSIONS = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 LARGEST_FILE = 1 << 32  # bytes; a stack of frames
@@ -46,7 +46,7 @@ def read_pages(path: Path, check_size: CheckSize) -> Iterator[tuple[str, NDArray
     if not data:
         raise UnreadableImage("is empty")
     try:
-        sizes = header_of(data).sizes
+        sizes = page_sizes(data)
     except NoImage as problem:
         raise UnreadableImage(str(problem)) from None
     for width, height in sizes:

@@ -162,4 +162,6 @@ def test_a_publisher_that_answers_for_no_rig_is_aged_by_its_least_delay(endpoint
         until(lambda: put(3.1, 3.0) or (feed.latest(60.0) and not feed.latest(2.9)))
         until(lambda: put(3.1, 3.0) or feed.late)
         until(lambda: put(0.005, 0.001) or feed.latest(0.1))
+        assert feed.late > 0
+        assert not feed.refused
     stranger.close()

@@ -56,3 +56,6 @@ def test_a_beat_makes_no_pose_of_another_session_fresh(endpoint: str, server: Se
         server.put(b"")
         until(lambda: robots["alpha"].refused)
         until(lambda: server.tell() or robots["alpha"].latest(0.1))
+        pose = robots["alpha"].latest(10.0)
+        assert pose is not None
+        assert pose.session == server.clock.session

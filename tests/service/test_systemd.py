@@ -76,7 +76,10 @@ def test_abstract_sockets_are_named_with_an_at() -> None:
 
 def test_nobody_is_told_without_a_socket_or_where_there_is_none_any_more(tmp_path: Path) -> None:
     for environment in ({}, {"NOTIFY_SOCKET": str(tmp_path / "gone")}, {"NOTIFY_SOCKET": "x" * 300}):
-        Systemd(environment).ready()
+        systemd = Systemd(environment)
+        for tell in (systemd.ready, systemd.alive, systemd.stopping):
+            tell()
+        assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from asterism.protocol.errors import InputError
-from asterism.server.sources.image_headers import NoImage, header_of
+from asterism.server.sources.image_headers import NoImage, page_sizes
 from asterism.server.sources.images import UnreadableImage, read_pages
 from asterism.server.sources.open_source import open_source
 from tests.helpers import shared
@@ -36,7 +36,7 @@ def silent(text: str) -> None:
 def test_the_size_is_known_before_anything_is_decoded(tmp_path: Path, suffix: str) -> None:
     file = tmp_path / f"a{suffix}"
     cv2.imwrite(str(file), pattern(1))
-    assert header_of(file.read_bytes()).sizes == [(WIDTH, HEIGHT)]
+    assert page_sizes(file.read_bytes()) == [(WIDTH, HEIGHT)]
     asked: list[tuple[int, int]] = []
 
     def refuse(width: int, height: int) -> None:
@@ -92,7 +92,7 @@ def test_directories_of_a_tiff_that_go_round_in_a_circle_are_refused(tmp_path: P
     entries = struct.unpack_from("<H", data, first)[0]
     struct.pack_into("<I", data, first + 2 + 12 * entries, first)
     with pytest.raises(NoImage, match="go round in a circle"):
-        header_of(bytes(data))
+        page_sizes(bytes(data))
 
 
 @pytest.mark.parametrize(("bits", "shift"), [(10, 2), (12, 4), (14, 6)])
