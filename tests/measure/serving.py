@@ -7,11 +7,9 @@ against the truth, frames without the robot, latency from the frame's arrival in
 resident memory of the server, and whether the bytes on the wire, in the recording and from the replay are the same.
 """
 
-import base64
 import sys
 import tempfile
 import threading
-from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +20,11 @@ from rich.table import Table
 
 from asterism.protocol.geometry import Pose, angle_between
 from asterism.protocol.rig import load_rig
-from asterism.recordings.reader import Recording
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.chain.judging import truth_of
 from tests.servers import Subscriber, asterism, free_endpoint, open_router, running
+from tests.wire_bytes import in_the_session_of, received_bytes, recorded_bytes
 
 RATE, FRAMES = 60, 600
 
@@ -35,15 +33,6 @@ def resident_mb(pid: int) -> float:
     """Resident memory of a process."""
     status = Path(f"/proc/{pid}/status").read_text()
     return float(next(line.split()[1] for line in status.splitlines() if line.startswith("VmRSS"))) / 1024
-
-
-def payloads(pairs: list[tuple[str, bytes]]) -> dict[str, list[bytes]]:
-    """The payloads of each key in order; the status is sent by the clock and left out."""
-    keyed: dict[str, list[bytes]] = defaultdict(list)
-    for key, payload in pairs:
-        if not key.endswith("/status"):
-            keyed[key.removeprefix("replay/")].append(payload)
-    return dict(keyed)
 
 
 def robots_table(folder: Path, received: list[dict[str, Any]]) -> Table:
@@ -123,17 +112,16 @@ def main(folder: Path, work: Path) -> None:
     )
 
     recording = next(path for path in work.iterdir() if path.is_dir())
-    wire = payloads([(entry["key"], base64.b64decode(entry["payload"])) for entry in received])
-    recorded = payloads([(m.key, m.payload) for m in Recording(recording).messages() if m.kind.on_wire])
+    wire, recorded = received_bytes(received), recorded_bytes(recording)
     with open_router() as (router, _):
         listener = Subscriber(router, work / "again.jsonl", "replay/asterism/**")
         asterism("replay", recording, "--connect", router, "--speed", 2)
         again = listener.finish()
-    replayed = payloads([(entry["key"], base64.b64decode(entry["payload"])) for entry in again])
+    replayed = received_bytes(again)
     count = sum(map(len, recorded.values()))
     console.print(
         f"bytes of {count} messages: wire = recording: {'yes' if wire == recorded else 'NO'}; "
-        f"replay = recording: {'yes' if replayed == recorded else 'NO'}"
+        f"replay = recording: {'yes' if replayed == in_the_session_of(replayed, recorded) else 'NO'}"
     )
 
 

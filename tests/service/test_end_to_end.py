@@ -1,6 +1,5 @@
 """The product as a user runs it: commands in processes of their own, a stranger's subscriber, one set of bytes."""
 
-import base64
 import json
 import signal
 import time
@@ -11,13 +10,12 @@ import numpy as np
 import pytest
 
 from asterism.clients import PoseClient
-from asterism.protocol.codec import decode_frame_report, in_session
 from asterism.protocol.geometry import Pose, angle_between
-from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message
 from asterism.recordings.reader import Recording
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.helpers import shared
 from tests.servers import Subscriber, asterism, free_endpoint, open_router, running, wait_for_line
+from tests.wire_bytes import in_the_session_of, received_bytes, recorded_bytes
 
 FRAMES = 45
 
@@ -71,32 +69,16 @@ def test_wire_recording_and_replay_have_the_same_bytes(
     served: tuple[list[dict[str, Any]], Path], tmp_path: Path
 ) -> None:
     received, folder = served
-
-    def by_key(pairs: list[tuple[str, bytes]]) -> dict[str, list[bytes]]:
-        keyed: dict[str, list[bytes]] = {}
-        for key, payload in pairs:
-            if not key.endswith(("/status", "/beat")):  # told by the clock
-                keyed.setdefault(key.removeprefix("replay/"), []).append(payload)
-        return keyed
-
-    wire = by_key([(entry["key"], base64.b64decode(entry["payload"])) for entry in received])
-    recorded = by_key([(m.key, m.payload) for m in Recording(folder).messages() if m.kind.on_wire])
-    assert recorded == wire
+    recorded = recorded_bytes(folder)
+    assert recorded == received_bytes(received)
     with open_router() as (router, _):
         # Through a router, as in an existing infrastructure, so that the subscriber is there from the first message.
         listener = Subscriber(router, tmp_path / "again.jsonl", "replay/asterism/**")
         done = asterism("replay", folder, "--connect", router, "--speed", "2")
         assert done.returncode == 0, done.stderr
         again = listener.finish()
-    played = by_key([(entry["key"], base64.b64decode(entry["payload"])) for entry in again])
-    # Byte for byte, and at the end the session of the play.
-    sessions = {decode_frame_report(payload).session for payload in played["asterism/demo/frame"]}
-    assert len(sessions) == 1
-    for key, payloads in recorded.items():
-        kind = ODOMETRY if key.endswith("odometry") else FRAME_REPORT
-        told = [in_session(Message(key, kind, payload, 0, 0, 0), *sessions).payload for payload in payloads]
-        assert played[key] == told
-    assert played.keys() == recorded.keys()
+    played = received_bytes(again)
+    assert played == in_the_session_of(played, recorded)
 
 
 def test_the_recorded_frames_solved_again_give_the_same_poses(
