@@ -1,6 +1,9 @@
 """Asking servers for their rig, and with it for their clock."""
 
+import contextlib
 import logging
+import threading
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 from asterism.clients.age import SLACK_S
@@ -19,6 +22,8 @@ TIMEOUT_S = 10.0
 MOST_WAITING = 3  # questions under way
 ROUND_TRIP_S = SLACK_S  # a clock told after longer is asked for again soon, ...
 TRIES = 5  # ... so often
+TICK_S = 0.05  # between steps
+HURRY_S = 0.002  # while an answer may come
 EMPTY = 2  # as many questions without an answer mean that a server tells nothing
 _LOG = logging.getLogger(__name__)
 
@@ -109,3 +114,21 @@ def _get(session: "zenoh.Session", selector: str) -> "zenoh.Handler[zenoh.Reply]
     # A ring would lose the answers that were not read before the last; and none is held back for the others.
     consolidation = zenoh.ConsolidationMode.NONE
     return session.get(selector, zenoh.handlers.FifoChannel(64), timeout=TIMEOUT_S, consolidation=consolidation)
+
+
+@contextlib.contextmanager
+def asking(session: "zenoh.Session", selector: str, servers: Servers) -> Iterator[None]:
+    """Ask on a thread of its own, until the context ends; ``selector`` is the key expression of the rigs."""
+    stop, questions = threading.Event(), Asking(session, selector, servers)
+
+    def run() -> None:
+        while not stop.wait(HURRY_S if questions.waiting else TICK_S):
+            questions.step()
+
+    thread = threading.Thread(target=run, name="asking")
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from asterism.clients.asking import Asking
+from asterism.clients.asking import HURRY_S, TICK_S, Asking
 from asterism.clients.link_state import LinkState
 from asterism.clients.received_pose import clock_ns
 from asterism.clients.servers import Servers
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     import zenoh
 
 RECONNECT_S = 0.25
-TICK_S = 0.05
-HURRY_S = 0.002  # between looks while an answer may come
 QUEUE = 256  # poses that wait for a callback; the oldest go first
 TOKENS = 1024
 SLOW_SAID_EVERY_NS = 10_000_000_000

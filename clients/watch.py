@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.live import Live
 
+from asterism.clients.asking import asking
 from asterism.clients.json_lines import JsonLines
 from asterism.clients.watched import RobotTable
 from asterism.protocol import keys
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 REFRESH_HZ = 5
 PLAIN_EVERY_S = 2.0
-ASK_EVERY_S = 2.0
+LOOK_EVERY_S = 0.5  # whether anything is to be said while no frame comes
 RETRY_S = 0.5
 
 
@@ -52,19 +53,18 @@ def watch(
             raise InputError(f"robot id {robot!r} {problem}")
     check_prefix(prefix)
     table = RobotTable(robots, prefix)
-    with contextlib.suppress(KeyboardInterrupt), _session(connect, options) as (session, endpoint):
+    with (
+        contextlib.suppress(KeyboardInterrupt),
+        _session(connect, options) as (session, endpoint),
+        asking(session, prefix + keys.rig("*"), table.servers),
+    ):
         if as_json:
             _write_lines(session, table, JsonLines(robots, prefix))
             return
-        stop = threading.Event()
         held = table.subscribe(session)
-        asking = threading.Thread(target=_keep_asking, args=(session, table, stop), name="asking")
-        asking.start()
         try:
-            show(table, Console(), stop, f"no frame from {endpoint} yet")
+            show(table, Console(), threading.Event(), f"no frame from {endpoint} yet")
         finally:
-            stop.set()
-            asking.join()
             held.clear()
 
 
@@ -99,25 +99,15 @@ def _session(connect: str | None, options: Path | None) -> "Iterator[tuple[zenoh
         session.close()
 
 
-def _keep_asking(session: "zenoh.Session", table: RobotTable, stop: threading.Event) -> None:
-    while True:
-        table.ask_who_is_known(session)
-        if stop.wait(ASK_EVERY_S):
-            return
-
-
 def _write_lines(session: "zenoh.Session", table: RobotTable, lines: JsonLines) -> None:
     """Every frame as a line on standard output; what is to be said besides goes to standard error, once."""
     held = lines.subscribe(session)
-    said, asked_s = "", 0.0
+    said = ""
     try:
         while True:
-            line = lines.next(ASK_EVERY_S)
+            line = lines.next(LOOK_EVERY_S)
             if line is not None:
                 print(line, flush=True)
-            if time.monotonic() - asked_s > ASK_EVERY_S:
-                asked_s = time.monotonic()
-                table.ask_who_is_known(session)
             if (note := table.mistyped()) != said:
                 print(f"asterism: {note}", file=sys.stderr, flush=True)
                 said = note

@@ -3,7 +3,6 @@
 import difflib
 import math
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,10 +11,14 @@ from typing import TYPE_CHECKING, TypeVar
 from rich.text import Text
 
 from asterism.clients import layout
+from asterism.clients.age import SessionAge
 from asterism.clients.layout import Row, printable
+from asterism.clients.link_state import Link, LinkState
+from asterism.clients.received_pose import clock_ns
+from asterism.clients.servers import Servers
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
-from asterism.protocol.codec import decode_frame_report, decode_rig, decode_status, report_pose
+from asterism.protocol.codec import decode_beat, decode_frame_report, decode_status, report_pose
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import State
@@ -25,8 +28,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-STALE_S = 1.0
-FORGOTTEN_S = 60.0  # a camera that is silent for so long leaves the table
+STALE_NS = 1_000_000_000
+FORGOTTEN_NS = 60_000_000_000  # a camera that is silent for so long leaves the table
 MOST_CAMERAS = 32
 SOURCE_CELLS = 32
 
@@ -34,34 +37,33 @@ SOURCE_CELLS = 32
 @dataclass(slots=True)
 class _Robot:
     row: Row  # of the newest frame
-    seen: Row | None = None  # the newest with a pose
-    seen_at_s: float = 0.0
-    times: deque[float] = field(default_factory=lambda: deque(maxlen=120))
+    exposed_ns: int = 0  # of the newest with a pose
+    clock: SessionAge | None = None  # of that one's session; None before there is one
+    times: deque[int] = field(default_factory=lambda: deque(maxlen=120))
 
 
 @dataclass(slots=True)
 class _Camera:
-    heard_s: float
-    at_s: float = -math.inf  # of its newest frame
+    heard_ns: int
+    at_ns: int | None = None  # of its newest frame
     robots: dict[str, _Robot] = field(default_factory=dict)
     known: set[str] = field(default_factory=set)  # the robots of its rig
     status: "pb.Status | None" = None
-    status_at_s: float = -math.inf
 
 
 class RobotTable:
     """Collects frame reports and status messages, and lays them out. Safe to feed from zenoh's threads.
 
     A frame report lists all of a rig's robots: those that are in it no more are forgotten at once, a camera after a
-    minute without a message. ``clock`` is monotonic, s.
+    minute without a message. Ages are by the servers' own clocks, as a PoseClient's are; ``servers`` holds what is
+    known of those. ``clock`` is this machine's own, ns.
     """
 
-    def __init__(
-        self, robots: Sequence[str] = (), prefix: str = "", clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, robots: Sequence[str] = (), prefix: str = "", clock: Callable[[], int] = clock_ns) -> None:
         self._wanted = tuple(dict.fromkeys(robots))
         self._prefix = prefix
         self._clock = clock
+        self.servers = Servers("")
         self._lock = threading.Lock()
         self._cameras: dict[str, _Camera] = {}
         self.nothing = "no frame has arrived yet" + ("" if prefix else "; a replay is watched with --prefix replay/")
@@ -72,31 +74,26 @@ class RobotTable:
         return [
             session.declare_subscriber(self._prefix + keys.frame("*"), self._frame),
             session.declare_subscriber(self._prefix + keys.status("*"), self._health),
+            session.declare_subscriber(self._prefix + keys.beat("*"), self._beat),
+            session.liveliness().declare_subscriber(self._prefix + keys.alive("*"), self._shows, history=True),
         ]
-
-    def ask_who_is_known(self, session: "zenoh.Session") -> None:
-        """Ask the servers for their rigs, if robots were named of which nobody has told; the answers come by and by."""
-
-        def answered(reply: "zenoh.Reply") -> None:
-            if reply.ok is not None:
-                self._rig(reply.ok)
-
-        if self._unknown():
-            session.get(self._prefix + keys.rig("*"), answered)
 
     def _frame(self, sample: "zenoh.Sample") -> None:
         report = self._read(decode_frame_report, sample)
         if report is None:
             return
-        now = self._clock()
+        now_ns = self._clock()
+        server = self.servers[self._name(sample)]
+        clock = server.age(report.session)
+        server.arrived(clock, report.published_ns, now_ns)
         with self._lock:
-            camera = self._camera(sample, now)
+            camera = self._camera(sample, now_ns)
             try:
-                rows = [_row(self._name(sample), report, robot) for robot in report.robots]
+                rows = [_row(self._name(sample), robot) for robot in report.robots]
             except InputError as error:
                 self._refused = f"{sample.key_expr}: {error}; ignored"
                 return
-            camera.at_s, camera.known = now, {row.robot for row in rows}
+            camera.at_ns, camera.known = now_ns, {row.robot for row in rows}
             before, camera.robots = camera.robots, {}
             for row in rows:
                 if not self._wanted or row.robot in self._wanted:
@@ -104,21 +101,24 @@ class RobotTable:
                     camera.robots[row.robot] = robot
                     robot.row = row
                     if row.position_mm is not None:
-                        robot.seen, robot.seen_at_s = row, now
-                        robot.times.append(now)
+                        robot.exposed_ns, robot.clock = report.exposed_ns, clock
+                        robot.times.append(now_ns)
 
     def _health(self, sample: "zenoh.Sample") -> None:
         status = self._read(decode_status, sample)
         if status is not None:
             with self._lock:
-                camera = self._camera(sample, self._clock())
-                camera.status, camera.status_at_s = status, self._clock()
+                self._camera(sample, self._clock()).status = status
 
-    def _rig(self, sample: "zenoh.Sample") -> None:
-        rig = self._read(decode_rig, sample)
-        if rig is not None:
-            with self._lock:
-                self._camera(sample, self._clock()).known = {robot.id for robot in rig.robots}
+    def _beat(self, sample: "zenoh.Sample") -> None:
+        beat = self._read(decode_beat, sample)
+        if beat is not None:
+            self.servers[self._name(sample)].beats(beat, self._clock())
+
+    def _shows(self, sample: "zenoh.Sample") -> None:
+        import zenoh
+
+        self.servers[self._name(sample)].shows(sample.kind == zenoh.SampleKind.PUT, self._clock())
 
     def _read(self, decode: Callable[[bytes], T], sample: "zenoh.Sample") -> T | None:
         """The message, or None for one that is none: then the table says so."""
@@ -132,26 +132,21 @@ class RobotTable:
     def _name(self, sample: "zenoh.Sample") -> str:
         return str(sample.key_expr).removeprefix(self._prefix).split("/")[1]
 
-    def _camera(self, sample: "zenoh.Sample", now: float) -> _Camera:
+    def _camera(self, sample: "zenoh.Sample", now_ns: int) -> _Camera:
         """The camera that a message is about, heard of now; called under the lock."""
         name = self._name(sample)
-        camera = self._cameras.setdefault(name, _Camera(now))
-        camera.heard_s = now
+        camera = self._cameras.setdefault(name, _Camera(now_ns))
+        camera.heard_ns = now_ns
         if len(self._cameras) > MOST_CAMERAS:
-            del self._cameras[min(self._cameras, key=lambda other: self._cameras[other].heard_s)]
+            del self._cameras[min(self._cameras, key=lambda other: self._cameras[other].heard_ns)]
         return camera
-
-    def _unknown(self) -> list[str]:
-        """The robots asked for that no rig has which we know of."""
-        with self._lock:
-            known = set().union(*(camera.known for camera in self._cameras.values()))
-        return [robot for robot in self._wanted if robot not in known]
 
     def mistyped(self) -> str:
         """A sentence about the robots asked for that no rig here has, or nothing while no rig is known."""
-        unknown = self._unknown()
         with self._lock:
-            known = sorted(set().union(*(camera.known for camera in self._cameras.values())))
+            told = [camera.known for camera in self._cameras.values()]
+        known = sorted(set().union(*told, *(server.points for server in self.servers.all())))
+        unknown = [robot for robot in self._wanted if robot not in known]
         if not unknown or not known:
             return ""
         sentences = []
@@ -163,12 +158,12 @@ class RobotTable:
 
     def rows(self) -> list[Row]:
         """What is to be shown now, by camera and robot."""
-        now = self._clock()
+        now_ns = self._clock()
         with self._lock:
-            for name in [name for name, camera in self._cameras.items() if now - camera.heard_s > FORGOTTEN_S]:
+            for name in [name for name, camera in self._cameras.items() if now_ns - camera.heard_ns > FORGOTTEN_NS]:
                 del self._cameras[name]
             return [
-                _aged(robot, camera, now)
+                _aged(robot, camera, now_ns)
                 for _, camera in sorted(self._cameras.items())
                 for _, robot in sorted(camera.robots.items())
             ]
@@ -182,21 +177,21 @@ class RobotTable:
         """The table as it is now, in at most ``width`` cells."""
         rows = self.rows()
         lines = layout.table(rows, width) if rows else [Text(self.nothing, style="dim")]
+        now_ns = self._clock()
         with self._lock:
-            lines += [
-                _status_line(name, camera, self._clock() - camera.status_at_s > 3 * STALE_S, width)
-                for name, camera in sorted(self._cameras.items())
-                if camera.status is not None
-            ]
+            for name, camera in sorted(self._cameras.items()):
+                lines += _server_lines(name, camera.status, self.servers[name].link(now_ns), width)
         notes = (self.mistyped(), printable(self._refused))
         return Text("\n").join([*lines, *(Text(note, style="red") for note in notes if note)])
 
 
-def _status_line(name: str, camera: _Camera, silent: bool, width: int) -> Text:
-    status, shown = camera.status, printable(name)
-    assert status is not None
-    if silent:
-        return Text(f"{shown}: the server is silent", style="red")
+def _server_lines(name: str, status: "pb.Status | None", link: Link, width: int) -> list[Text]:
+    """What is to be said of a server: that its poses are late or come no more, else how it does."""
+    if link.state is not LinkState.LIVE:
+        return [Text(printable(link.sentence), style="red")]
+    if status is None:
+        return []
+    shown = printable(name)
     text = layout.joined(
         (
             f"{shown} ({layout.shorten(printable(status.source), SOURCE_CELLS)}): {status.rate_hz:.0f} frames/s",
@@ -208,11 +203,11 @@ def _status_line(name: str, camera: _Camera, silent: bool, width: int) -> Text:
         width,
     )
     if status.problem:
-        return Text(f"{text}\n{printable(status.problem)}", style="red")
-    return Text(text, style="dim")
+        return [Text(f"{text}\n{printable(status.problem)}", style="red")]
+    return [Text(text, style="dim")]
 
 
-def _row(camera: str, report: "pb.FrameReport", robot: "pb.RobotReport") -> Row:
+def _row(camera: str, robot: "pb.RobotReport") -> Row:
     """A robot as its report has it. Raises InputError for a report that no server of ours makes."""
     if robot.state not in State.values():
         raise InputError(f"robot {robot.id!r}: state {robot.state}, expected one of {', '.join(State.keys()[1:])}")
@@ -227,7 +222,6 @@ def _row(camera: str, report: "pb.FrameReport", robot: "pb.RobotReport") -> Row:
     turn = pose.rotation
     return replace(
         row,
-        age_s=(report.published_ns - report.exposed_ns) * 1e-9,
         position_mm=(1e3 * p.x, 1e3 * p.y, 1e3 * p.z),
         heading_deg=math.degrees(math.atan2(turn[1, 0], turn[0, 0])),
         tilt_deg=math.degrees(_tilt(turn)),
@@ -241,16 +235,14 @@ def _tilt(turn: Floats) -> float:
     return math.acos(min(abs(float(turn[2, 2])), 1.0))
 
 
-def _aged(robot: _Robot, camera: _Camera, now: float) -> Row:
+def _aged(robot: _Robot, camera: _Camera, now_ns: int) -> Row:
     """The row as time has made it: the age of the newest pose, the rate of the last second."""
-    age_s = None
-    if robot.seen is not None and robot.seen.age_s is not None:
-        age_s = robot.seen.age_s + now - robot.seen_at_s
-    silent = now - camera.at_s > STALE_S
+    age_s = math.inf if robot.clock is None else robot.clock.age_s(now_ns, robot.exposed_ns)
+    silent = camera.at_ns is None or now_ns - camera.at_ns > STALE_NS
     return replace(
         robot.row,
         robot=printable(robot.row.robot),
         state="NO FRAMES" if silent else robot.row.state,
-        age_s=age_s,
-        rate_hz=sum(1 for moment in robot.times if now - moment <= 1.0),
+        age_s=age_s if math.isfinite(age_s) else None,
+        rate_hz=sum(1 for moment in robot.times if now_ns - moment <= STALE_NS),
     )

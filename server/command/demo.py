@@ -8,8 +8,10 @@ from pathlib import Path
 
 from rich.console import Console
 
+from asterism.clients.asking import asking
 from asterism.clients.watch import show
 from asterism.clients.watched import RobotTable
+from asterism.protocol import keys
 from asterism.protocol.errors import InputError
 from asterism.protocol.program import typed
 from asterism.protocol.rig import load_rig
@@ -55,6 +57,7 @@ def run(options: argparse.Namespace) -> int:
         source = Simulated(rig, look=LOOK)
         table, drawn = RobotTable(), threading.Event()
         stack.callback(table.subscribe(air.session).clear)
+        stack.enter_context(asking(air.session, keys.rig(rig.camera.name), table.servers))
         drawing = threading.Thread(target=show, args=(table, console, drawn), name="table")
         recorder = Recorder(options.record, rig, source.name, FramesKept(), wait=True)
         served = Run(rig, source, Outlets(air.publisher, recorder), stop, clock)

@@ -5,14 +5,16 @@ import json
 import re
 
 import pytest
+import zenoh
 from rich.console import Console
 
+from asterism.clients.age import SLACK_S
 from asterism.clients.json_lines import JsonLines, as_json
 from asterism.clients.layout import Row, joined, printable, shorten, table
 from asterism.clients.watch import check_prefix
-from asterism.clients.watched import FORGOTTEN_S, MOST_CAMERAS, RobotTable
+from asterism.clients.watched import FORGOTTEN_NS, MOST_CAMERAS, RobotTable
 from asterism.protocol import asterism_pb2 as pb
-from asterism.protocol.codec import encode_rig, to_bytes
+from asterism.protocol.codec import decode_rig, encode_rig, to_bytes
 from asterism.protocol.errors import InputError
 from tests.protocol import make_golden
 
@@ -20,8 +22,9 @@ from tests.protocol import make_golden
 class Sample:
     """As much of a zenoh sample as the table looks at."""
 
-    def __init__(self, key: str, payload: bytes) -> None:
+    def __init__(self, key: str, payload: bytes, alive: bool = True) -> None:
         self.key_expr = key
+        self.kind = zenoh.SampleKind.PUT if alive else zenoh.SampleKind.DELETE
         self.payload = self
         self._payload = payload
 
@@ -30,17 +33,31 @@ class Sample:
 
 
 class Clock:
-    """Time that passes when it is told to."""
+    """Time that passes when it is told to, ns."""
 
-    now = 1000.0
+    now = 1_000_000_000_000
 
-    def __call__(self) -> float:
+    def __call__(self) -> int:
         return self.now
+
+    def passes(self, seconds: float) -> None:
+        self.now += round(1e9 * seconds)
+
+
+def tell_clock(table: RobotTable, clock: Clock, time_ns: int) -> None:
+    """The server answers that it is so late by its clock."""
+    told = decode_rig(encode_rig(make_golden.RIG))
+    told.session, told.time_ns, told.rate = make_golden.frame_report().session, time_ns, 1.0
+    table.servers["cam"].answers(told, clock(), clock())
 
 
 def tell(table: RobotTable, report: "pb.FrameReport | None" = None, key: str = "asterism/cam/frame") -> None:
     payload = to_bytes(report if report is not None else make_golden.frame_report())
     table._frame(Sample(key, payload))  # type: ignore[arg-type]
+
+
+def tell_alive(table: RobotTable, key: str = "asterism/cam/alive", alive: bool = True) -> None:
+    table._shows(Sample(key, b"", alive))  # type: ignore[arg-type]
 
 
 def tell_status(table: RobotTable, status: "pb.Status", key: str = "asterism/cam/status") -> None:
@@ -59,11 +76,12 @@ def drawn(table: RobotTable, width: int = 160) -> str:
 def test_every_robot_has_its_line_and_the_server_its_own(prefix: str) -> None:
     table = RobotTable(prefix=prefix)
     assert "no frame has arrived yet" in drawn(table)
+    tell_alive(table, f"{prefix}asterism/cam/alive")
     tell(table, key=f"{prefix}asterism/cam/frame")
     tell_status(table, make_golden.status(), f"{prefix}asterism/cam/status")
     text = drawn(table)
     alpha = next(line for line in text.splitlines() if line.lstrip().startswith("alpha"))
-    for word in ("TILT_AMBIGUOUS", "1500.00", "5", "0.013", "ms"):
+    for word in ("TILT_AMBIGUOUS", "1500.00", "5", "0.013"):
         assert word in alpha
     bravo = next(line for line in text.splitlines() if line.lstrip().startswith("bravo"))
     assert "LOST" in bravo
@@ -82,6 +100,7 @@ def test_a_problem_is_told() -> None:
     status = make_golden.status()
     status.problem = "/dev/video0: the camera vanished; waiting for it"
     table = RobotTable()
+    tell_alive(table)
     tell(table)
     tell_status(table, status)
     assert "the camera vanished; waiting for it" in drawn(table)
@@ -178,6 +197,7 @@ def test_names_from_the_network_do_not_steer_the_terminal() -> None:
     status.source += "\x1b[2J"
     status.problem = "bad\x1b[H"
     table = RobotTable(["alhpa"])
+    tell_alive(table)
     tell(table, report)
     tell_status(table, status)
     table._frame(Sample("asterism/cam\x1b[2J/frame", b"\x07"))  # type: ignore[arg-type]
@@ -196,32 +216,50 @@ def test_robots_that_left_the_rig_and_cameras_that_fell_silent_are_forgotten() -
     del smaller.robots[1]
     tell(table, smaller)
     assert [row.robot for row in table.rows()] == ["alpha"]
-    clock.now += 1.5
+    clock.passes(1.5)
     assert [row.state for row in table.rows()] == ["NO FRAMES"]
-    clock.now += FORGOTTEN_S
+    clock.now += FORGOTTEN_NS
     assert table.rows() == []
     assert "no frame has arrived" in drawn(table)
     for number in range(3 * MOST_CAMERAS):
-        clock.now += 0.001
+        clock.passes(0.001)
         tell(table, smaller, f"asterism/cam{number}/frame")
     assert len(table.rows()) == MOST_CAMERAS
     assert f"cam{3 * MOST_CAMERAS - 1}" in {row.camera for row in table.rows()}
 
 
-def test_the_age_goes_on_while_a_robot_is_lost() -> None:
+def test_the_age_is_that_of_the_servers_clock_and_goes_on_while_a_robot_is_lost() -> None:
     clock = Clock()
     table = RobotTable(clock=clock)
     report = make_golden.frame_report()
     tell(table, report)
+    assert table.rows()[0].age_s is None  # nothing is known of the server's clock yet
+    late_ns = 3_000_000_000  # the frame waited so long on its way
+    tell_clock(table, clock, report.published_ns + late_ns)
     alpha = table.rows()[0]
-    assert alpha.age_s == pytest.approx((report.published_ns - report.exposed_ns) * 1e-9)
-    clock.now += 0.5
+    expected_s = (late_ns + report.published_ns - report.exposed_ns) * 1e-9
+    assert alpha.age_s == pytest.approx(expected_s, abs=1.1 * SLACK_S)
+    clock.passes(0.5)
     report.robots[0].ClearField("pose")
     report.robots[0].state = pb.LOST
     tell(table, report)
     later = table.rows()[0]
     assert (later.state, later.position_mm) == ("LOST", None)
-    assert later.age_s == pytest.approx(alpha.age_s + 0.5)
+    assert later.age_s == pytest.approx(alpha.age_s + 0.5, abs=1e-3)
+
+
+def test_late_silent_and_gone_are_told_apart() -> None:
+    clock = Clock()
+    table = RobotTable(clock=clock)
+    report = make_golden.frame_report()
+    tell_alive(table)
+    tell_clock(table, clock, report.published_ns + 2_000_000_000)
+    tell(table, report)
+    assert "the link is too slow, what the server sends arrives 2.0 s late" in drawn(table)
+    clock.passes(1.5)
+    assert "the server has stopped answering, for 1.5 s" in drawn(table)
+    tell_alive(table, alive=False)
+    assert "camera 'cam': the server is gone" in drawn(table)
 
 
 def test_a_mistyped_robot_is_named_once_a_rig_is_known() -> None:
@@ -233,7 +271,7 @@ def test_a_mistyped_robot_is_named_once_a_rig_is_known() -> None:
     assert any("did you mean 'alpha'?" in line for line in table.lines())
     # A camera that delivers no frames answers for its rig all the same.
     silent = RobotTable(["alpah"])
-    silent._rig(Sample("asterism/cam/rig", encode_rig(make_golden.RIG)))  # type: ignore[arg-type]
+    silent.servers["cam"].answers(decode_rig(encode_rig(make_golden.RIG)), 0, 1)
     assert "did you mean 'alpha'?" in silent.mistyped()
     right = RobotTable(["alpha"])
     tell(right)
