@@ -53,6 +53,13 @@ class Drawing:
         self._two_tilts: set[str] = set()  # drawn with both
         place_scene(stream, rig)
 
+    def replaced_by(self, rig: Rig) -> "Drawing":
+        """Another rig is in force from now on: the robots of this one are drawn nowhere."""
+        for robot in self._rig.robots:
+            for what in ("robots", "alternatives", "paths"):
+                self._stream.log(f"world/{what}/{part(robot.id)}", rr.Clear(recursive=True))
+        return Drawing(self._stream, rig)
+
     def image(self, image: NDArray[np.uint8], time_ns: int, sequence: int) -> None:
         """Show an (h, w) frame."""
         self._at(time_ns, sequence)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from asterism.protocol.codec import decode_image
 from asterism.protocol.errors import InputError
-from asterism.protocol.messages import PROTOCOL, STATUS, Kind, Message
+from asterism.protocol.messages import FRAME_REPORT, PROTOCOL, STATUS, Kind, Message
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, parse_rig
 from asterism.recordings.records import MAGIC, Damaged, read_metadata
@@ -26,6 +26,7 @@ from asterism.recordings.summary_check import check_index, read_at
 from asterism.recordings.told import METADATA, OFFSET_KEY, is_sound
 from asterism.recordings.walk import Gap, opened, walk
 
+RIG = "rig.yaml"
 RATE_FRAMES = 50  # whose spacing tells the rate
 
 
@@ -63,12 +64,28 @@ class Recording:
             )
 
     def rig(self) -> Rig:
-        """The rig that was in force. Raises InputError if the recording does not hold it."""
+        """The rig that was in force when it began. Raises InputError if the recording does not hold it."""
+        return self._rig(self.metadata)
+
+    def rigs(self) -> list[tuple[int, Rig]]:
+        """Every rig that was in force, with the number of the first frame that was solved with it: a server reads its
+        rig again when it is told to. Raises InputError like `rig`.
+        """
+        rigs, told = [(0, self.rig())], _rig_files(self.metadata)
+        for file in self._poses[1:]:
+            metadata = self._metadata_of(file) or {}
+            if RIG in metadata and _rig_files(metadata) != told:
+                told = _rig_files(metadata)
+                reports = (message for message in self._messages(file) if message.kind.schema == FRAME_REPORT.schema)
+                rigs += [(first.sequence, self._rig(metadata)) for first in islice(reports, 1)]
+        return rigs
+
+    def _rig(self, metadata: dict[str, str]) -> Rig:
         try:
             offsets = {
-                key.removeprefix(OFFSET_KEY): text for key, text in self.metadata.items() if key.startswith(OFFSET_KEY)
+                key.removeprefix(OFFSET_KEY): text for key, text in metadata.items() if key.startswith(OFFSET_KEY)
             }
-            return parse_rig(self.metadata["rig.yaml"], self.metadata["camera.yaml"], str(self.path), offsets)
+            return parse_rig(metadata[RIG], metadata["camera.yaml"], str(self.path), offsets)
         except KeyError as missing:
             raise InputError(f"{self.path}: holds no {missing}; it was not recorded by asterism") from None
 
@@ -128,16 +145,19 @@ class Recording:
 
     def _read_metadata(self) -> dict[str, str]:
         """From the first file that has it. Raises InputError where that is damaged."""
-        for file in self._poses + self._frames:
-            with opened(file) as stream:
-                for part in walk(stream):
-                    if isinstance(part, Gap) or part.opcode in (Opcode.CHUNK, Opcode.DATA_END):
-                        break
-                    if part.opcode == Opcode.METADATA and (told := read_metadata(part.body)).name == METADATA:
-                        if is_sound(told.metadata):
-                            return dict(told.metadata)
-                        raise InputError(f"{file}: is damaged (its metadata); {self._hint()}")
-        return {}
+        told = (self._metadata_of(file) for file in self._poses + self._frames)
+        return next((metadata for metadata in told if metadata is not None), {})
+
+    def _metadata_of(self, file: Path) -> dict[str, str] | None:
+        with opened(file) as stream:
+            for part in walk(stream):
+                if isinstance(part, Gap) or part.opcode in (Opcode.CHUNK, Opcode.DATA_END):
+                    break
+                if part.opcode == Opcode.METADATA and (told := read_metadata(part.body)).name == METADATA:
+                    if is_sound(told.metadata):
+                        return dict(told.metadata)
+                    raise InputError(f"{file}: is damaged (its metadata); {self._hint()}")
+        return None
 
     def _messages(self, file: Path) -> Iterator[Message]:
         schemas: dict[int, Schema] = {}
@@ -161,6 +181,11 @@ class Recording:
                     kind = Kind(schema.name if schema else "", channel.metadata.get("on_wire") == "yes")
                     payload = bytes(told.data)
                     yield Message(channel.topic, kind, payload, told.log_ns, told.publish_ns, told.sequence)
+
+
+def _rig_files(metadata: dict[str, str]) -> dict[str, str]:
+    """What a rig is made of."""
+    return {key: text for key, text in metadata.items() if key.endswith(".yaml") or key.startswith(OFFSET_KEY)}
 
 
 def _ends_as_mcap(stream: BinaryIO) -> bool:

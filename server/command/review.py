@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
@@ -53,13 +54,16 @@ def run(options: argparse.Namespace) -> int:
 
 
 def write_rrd(recording: Recording, out: Path, views: Callable[[Rig], rrb.Blueprint] = blueprint) -> None:
-    """Draw a whole recording into a rerun file, its ``views`` laid out for the rig."""
-    rig = recording.rig()
+    """Draw a whole recording into a rerun file, its ``views`` laid out for the rig that was in force last."""
+    rigs = deque(recording.rigs())
+    layout = views(rigs[-1][1])
     stream = rr.RecordingStream(APPLICATION, recording_id=recording.path.name)
-    stream.save(out, default_blueprint=views(rig))
-    drawing = Drawing(stream, rig)
+    stream.save(out, default_blueprint=layout)
+    drawing = Drawing(stream, rigs.popleft()[1])
     total = recording.count_messages() + recording.count_frames()
     for message in progress(recording.messages_and_images(), total, "drawing"):
+        if rigs and message.kind.schema in (IMAGE.schema, FRAME_REPORT.schema) and message.sequence >= rigs[0][0]:
+            drawing = drawing.replaced_by(rigs.popleft()[1])
         if message.kind.schema == IMAGE.schema:
             drawing.image(decode_image(message.payload), message.log_ns, message.sequence)
         elif message.kind.schema == FRAME_REPORT.schema:

@@ -11,7 +11,6 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable
 from pathlib import Path
 
 import rerun as rr
@@ -97,15 +96,8 @@ class LiveView:
                 messages, frame, rig = self._newest
                 self._newest = None
             if rig is not drawn:
-                self._wipe(robot.id for robot in drawn.robots)
-                drawn, drawing = rig, Drawing(self._stream, rig)
+                drawn, drawing = rig, drawing.replaced_by(rig)
             drawing.image(frame.image, frame.exposed_ns, frame.index)
             for message in messages:
                 if message.kind == FRAME_REPORT:
                     drawing.report(decode_frame_report(message.payload))
-
-    def _wipe(self, robots: Iterable[str]) -> None:
-        """Robots of a rig that is no longer in force are drawn nowhere."""
-        for robot in robots:
-            for what in ("robots", "alternatives", "paths"):
-                self._stream.log(f"world/{what}/{robot}", rr.Clear(recursive=True))

@@ -8,6 +8,9 @@ from asterism.protocol.messages import Clock
 from asterism.server.chain.frame import Frame
 from asterism.server.sources.session_clock import SessionClock
 
+LONGEST_GAP_NS = 3_000_000_000  # as in a replay: nothing is waited for longer, ...
+USUAL = 10  # ... unless frames were as rare as that already, within this factor
+
 
 def paced(
     frames: Iterator[Frame], rate_hz: float | None, stop: Callable[[], bool], clock: SessionClock
@@ -15,14 +18,12 @@ def paced(
     """Play frames of a file in real time, stamped by ``clock`` when they are played.
 
     Their own spacing in time is kept, or ``rate_hz`` if it is given; a chain that is too slow delays, it drops
-    nothing. Ends early when ``stop`` says so.
+    nothing. Where the clock that stamped them was set, or nothing was taken for long, the play goes on at once. Ends
+    early when ``stop`` says so.
     """
     start = time.perf_counter()
-    first: Frame | None = None
-    for count, frame in enumerate(frames):
-        first = first or frame
-        own = (frame.exposed_ns - first.exposed_ns) * 1e-9
-        due = start + (count / rate_hz if rate_hz is not None else own)
+    for count, (frame, played_s) in enumerate(_own_times(frames)):
+        due = start + (count / rate_hz if rate_hz is not None else played_s)
         while (left := due - time.perf_counter()) > 0 and not stop():
             time.sleep(min(left, 0.05))
         if stop():
@@ -30,3 +31,15 @@ def paced(
         session = clock.session
         now_ns = clock.now_ns(session)
         yield replace(frame, exposed_ns=now_ns, arrived_ns=now_ns, clock=Clock.PLAYED, session=session)
+
+
+def _own_times(frames: Iterator[Frame]) -> Iterator[tuple[Frame, float]]:
+    """Frames with when they are played at their own spacing, s from the first."""
+    played_ns, step_ns, before_ns = 0, 0, None
+    for frame in frames:
+        gap_ns = 0 if before_ns is None else frame.exposed_ns - before_ns
+        before_ns = frame.exposed_ns
+        if 0 <= gap_ns <= max(LONGEST_GAP_NS, USUAL * step_ns) or (gap_ns > 0 and not step_ns):
+            step_ns = gap_ns
+        played_ns += step_ns
+        yield frame, played_ns * 1e-9

@@ -12,13 +12,18 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from asterism.protocol import asterism_pb2 as pb
-from asterism.protocol.codec import set_report_pose
+from asterism.protocol import keys
+from asterism.protocol.codec import set_report_pose, to_bytes
 from asterism.protocol.geometry import Floats, Pose, exp_rotation
-from asterism.protocol.rig import Rig, Robot, load_rig
+from asterism.protocol.messages import FRAME_REPORT, Message
+from asterism.protocol.rig import Rig, Robot, load_rig, parse_rig
 from asterism.recordings.drawing import Drawing
 from asterism.recordings.layout import blueprint
 from asterism.recordings.plates import RIM, plate_outline, roll_pitch_yaw_deg
 from asterism.recordings.png_image import png
+from asterism.recordings.reader import Recording
+from asterism.recordings.recorder import FramesKept, Recorder
+from asterism.server.command.review import write_rrd
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.helpers import random_pose, random_rotation
 
@@ -68,8 +73,13 @@ def drawn(rig: Rig, reports: list["pb.FrameReport"], out: Path) -> dict[str, dic
         drawing.report(report)
     stream.flush()
     stream.disconnect()
+    return contents(out)
+
+
+def contents(file: Path) -> dict[str, dict[str, Rows]]:
+    """Of a rerun file: entity -> component -> its rows, in the order of frames."""
     found: dict[str, dict[str, Rows]] = {}
-    for chunk in rr.chunk.RrdReader(str(out)).stream():
+    for chunk in rr.chunk.RrdReader(str(file)).stream():
         batch = chunk.to_record_batch()
         names = [name for name in batch.schema.names if ":" in name]
         frames = batch.column("frame").to_pylist() if "frame" in batch.schema.names else [None] * batch.num_rows
@@ -230,3 +240,37 @@ def test_every_view_shows_what_is_logged_and_names_its_unit(rig: Rig, tmp_path: 
         assert {line.rpartition(", ")[2] for line in lines} == {str(view.name).rpartition(", ")[2]}
         # One line needs no legend; two are told apart by their colours.
         assert len(lines) == (2 if view.origin == "plots/latency" else 1)
+
+
+def test_a_robot_that_joined_by_a_reload_is_drawn_and_one_that_left_is_not(rig: Rig, tmp_path: Path) -> None:
+    """The recording goes on with the rig that is read again; what is drawn follows it."""
+    whole = DEMO_RIG.read_text()
+    first, second = (
+        parse_rig(text, rig.camera_text, "demo")
+        for text in (whole[: whole.index("  echo:")], whole.replace("  alpha:", "  zulu:"))
+    )
+    recorder = Recorder(tmp_path, first, "test", FramesKept(every=0), wait=True)
+    for sequence, in_force in ((1, first), (2, first), (3, second), (4, second)):
+        if sequence == 3:
+            recorder.take_rig(second)
+        report = told(in_force, sequence, everywhere(in_force))
+        message = Message(keys.frame("demo"), FRAME_REPORT, to_bytes(report), report.exposed_ns, 10**18, sequence)
+        recorder.write([message], None, report.exposed_ns, sequence)
+    recorder.close({})
+    recording = Recording(recorder.folder)
+    assert [(since, [robot.id for robot in known.robots]) for since, known in recording.rigs()] == [
+        (0, [robot.id for robot in first.robots]),
+        (3, [robot.id for robot in second.robots]),
+    ]
+    write_rrd(recording, tmp_path / "out.rrd")
+    entities = contents(tmp_path / "out.rrd")
+    placed = {
+        robot: [frame for frame, _ in rows]
+        for robot in ("alpha", "bravo", "echo", "zulu")
+        for name, rows in entities[f"/world/robots/{robot}"].items()
+        if name.endswith("translation")
+    }
+    assert placed == {"alpha": [1, 2], "bravo": [1, 2, 3, 4], "echo": [3, 4], "zulu": [3, 4]}
+    assert "/world/robots/alpha" in entities and any(
+        "clear" in name.lower() for name in entities["/world/robots/alpha"]
+    )

@@ -222,6 +222,17 @@ def test_paced_frames_keep_their_spacing_and_are_stamped_when_played() -> None:
     assert faster[-1] - faster[0] < 5 * 10**9
 
 
+def test_where_the_clock_was_set_a_paced_film_goes_on_at_once() -> None:
+    """An hour forwards, and back again; frames ten seconds apart are waited for where all of them are."""
+    steps_ns = [0, 10_000_000, 3_600_000_000_000, 10_000_000, -3_600_000_000_000, 10_000_000]
+    film = (Frame(pattern(k), int(at), k) for k, at in enumerate(np.cumsum(steps_ns)))
+    began = time.monotonic()
+    assert len(list(paced(film, None, lambda: False, SessionClock()))) == len(steps_ns)
+    assert 0.045 < time.monotonic() - began < 3.0
+    rare, late = (Frame(pattern(k), k * 10**10, k) for k in range(2)), time.monotonic() + 0.3
+    assert [frame.index for frame in paced(rare, None, lambda: time.monotonic() > late, SessionClock())] == [0]
+
+
 def test_pacing_ends_when_it_is_told_to() -> None:
     played = []
     for frame in paced(numbered(1000), 1.0, lambda: len(played) >= 1, SessionClock()):
