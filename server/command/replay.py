@@ -2,14 +2,15 @@
 
 import argparse
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
-from asterism.protocol.codec import decode_frame_report, in_session, stamped
+from asterism.protocol.codec import decode_frame_report, encode_rig, in_session, stamped
 from asterism.protocol.errors import InputError
-from asterism.protocol.messages import FRAME_REPORT, Message
+from asterism.protocol.messages import FRAME_REPORT, STATUS, Message
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.reader import Recording
@@ -70,7 +71,7 @@ def run(options: argparse.Namespace) -> int:
         say(f"watch it in another terminal: {typed('watch', *prefixed, *client_words(options))}")
         published = 0
         while not stop():
-            source = _solved(recording, rig) if options.solve is not None else recording.messages()
+            source = _solved(recording, rig) if options.solve is not None else _answering(recording, air.publisher)
             published += _play(_wire(source), air.publisher, clock, stop)
             if not options.loop:
                 break
@@ -82,6 +83,15 @@ def run(options: argparse.Namespace) -> int:
 
 def _wire(messages: Iterator[Message]) -> Iterator[Message]:
     return (message for message in messages if message.kind.on_wire)
+
+
+def _answering(recording: Recording, publisher: Publisher) -> Iterator[Message]:
+    """Its messages; the publisher answers with the rig that was in force at each."""
+    rigs = deque(recording.rigs())
+    for message in recording.messages():
+        while rigs and message.kind.schema != STATUS.schema and message.sequence >= rigs[0][0]:
+            publisher.rig_payload = encode_rig(rigs.popleft()[1])
+        yield message
 
 
 def _solved(recording: Recording, rig: Rig) -> Iterator[Message]:

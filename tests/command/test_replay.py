@@ -7,13 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asterism.protocol.messages import Message
+from asterism.protocol import asterism_pb2 as pb
+from asterism.protocol.codec import decode_rig
+from asterism.protocol.messages import FRAME_REPORT, Message
 from asterism.recordings.reader import Recording
-from asterism.server.command.replay import _play
+from asterism.server.command.replay import _answering, _play
 from asterism.server.service.play_clock import PlayClock
 from asterism.server.service.serve import Stop
 from asterism.server.sources.open_source import open_source
 from tests.recordings.mutations import hand_made, write_file
+from tests.recordings.reloaded import record_reloaded, two_rigs
 
 HOUR_NS = 3_600_000_000_000
 
@@ -25,6 +28,7 @@ class Listener:
         self._clock = clock
         self.sequences: list[int] = []
         self.sessions: list[int] = []
+        self.rig_payload = b""
 
     def put(self, message: Message) -> None:
         self.sequences.append(message.sequence)
@@ -71,3 +75,17 @@ def test_frames_keep_the_order_in_which_they_were_taken(tmp_path: Path, step_ns:
     assert [frame.index for frame in source.frames()] == list(range(10))
     assert bool(said) == (step_ns < 0)
     assert source.rate_hz == pytest.approx(60.0, rel=1e-4)
+
+
+def test_a_replay_answers_with_the_rig_that_was_in_force(tmp_path: Path) -> None:
+    recording = record_reloaded(tmp_path, lambda _, number: pb.FrameReport(sequence=number, exposed_ns=10**18 + number))
+    rigs = [(0, two_rigs()[0].rig_text), (3, two_rigs()[1].rig_text)]
+    assert [(since, rig.rig_text) for since, rig in recording.rigs()] == rigs
+    listener = Listener(PlayClock(1.0))
+    answers = {
+        message.sequence: [robot.id for robot in decode_rig(listener.rig_payload).robots]
+        for message in _answering(recording, listener)  # type: ignore[arg-type]
+        if message.kind == FRAME_REPORT
+    }
+    first, second = ([robot.id for robot in rig.robots] for rig in two_rigs())
+    assert answers == {1: first, 2: first, 3: second, 4: second}

@@ -12,20 +12,17 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from asterism.protocol import asterism_pb2 as pb
-from asterism.protocol import keys
-from asterism.protocol.codec import set_report_pose, to_bytes
+from asterism.protocol.codec import set_report_pose
 from asterism.protocol.geometry import Floats, Pose, exp_rotation
-from asterism.protocol.messages import FRAME_REPORT, Message
-from asterism.protocol.rig import Rig, Robot, load_rig, parse_rig
+from asterism.protocol.rig import Rig, Robot, load_rig
 from asterism.recordings.drawing import Drawing
 from asterism.recordings.layout import blueprint
 from asterism.recordings.plates import RIM, plate_outline, roll_pitch_yaw_deg
 from asterism.recordings.png_image import png
-from asterism.recordings.reader import Recording
-from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.server.command.review import write_rrd
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.helpers import random_pose, random_rotation
+from tests.recordings.reloaded import record_reloaded
 
 STEP_NS = 16_666_667
 Rows = list[tuple[int | None, Any]]  # of a component: frame (None: static) and value
@@ -242,26 +239,9 @@ def test_every_view_shows_what_is_logged_and_names_its_unit(rig: Rig, tmp_path: 
         assert len(lines) == (2 if view.origin == "plots/latency" else 1)
 
 
-def test_a_robot_that_joined_by_a_reload_is_drawn_and_one_that_left_is_not(rig: Rig, tmp_path: Path) -> None:
+def test_a_robot_that_joined_by_a_reload_is_drawn_and_one_that_left_is_not(tmp_path: Path) -> None:
     """The recording goes on with the rig that is read again; what is drawn follows it."""
-    whole = DEMO_RIG.read_text()
-    first, second = (
-        parse_rig(text, rig.camera_text, "demo")
-        for text in (whole[: whole.index("  echo:")], whole.replace("  alpha:", "  zulu:"))
-    )
-    recorder = Recorder(tmp_path, first, "test", FramesKept(every=0), wait=True)
-    for sequence, in_force in ((1, first), (2, first), (3, second), (4, second)):
-        if sequence == 3:
-            recorder.take_rig(second)
-        report = told(in_force, sequence, everywhere(in_force))
-        message = Message(keys.frame("demo"), FRAME_REPORT, to_bytes(report), report.exposed_ns, 10**18, sequence)
-        recorder.write([message], None, report.exposed_ns, sequence)
-    recorder.close({})
-    recording = Recording(recorder.folder)
-    assert [(since, [robot.id for robot in known.robots]) for since, known in recording.rigs()] == [
-        (0, [robot.id for robot in first.robots]),
-        (3, [robot.id for robot in second.robots]),
-    ]
+    recording = record_reloaded(tmp_path, lambda rig, sequence: told(rig, sequence, everywhere(rig)))
     write_rrd(recording, tmp_path / "out.rrd")
     entities = contents(tmp_path / "out.rrd")
     placed = {
