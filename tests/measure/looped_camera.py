@@ -1,0 +1,63 @@
+"""A server whose camera shows one film again and again, forwards and backwards, so that nothing jumps:
+`python -m tests.measure.looped_camera FILM.npy RATE RIG [options of asterism serve]`.
+
+FILM.npy holds frames (n, h, w) uint8; the server's source is a camera as any other, which does not wait.
+"""
+
+import sys
+import time
+from itertools import chain, cycle
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.protocol.rig import Rig, load_rig
+from asterism.server.__main__ import main
+from asterism.server.command import serve
+from asterism.server.simulation.simulate import Scene
+from asterism.server.sources.camera import Camera
+from asterism.server.sources.source import Say
+
+
+class LoopedDevice:
+    """In a driver's place: every image at its time, by a clock of its own; late readers find the newest."""
+
+    def __init__(self, film: NDArray[np.uint8], rate_hz: float) -> None:
+        self._film = film
+        self._order = cycle(chain(range(len(film)), range(len(film) - 2, 0, -1)))
+        self._step_s = 1.0 / rate_hz
+        self._due_s = time.monotonic()
+
+    def read(self) -> NDArray[np.uint8]:
+        """The image that is due."""
+        self._due_s += self._step_s
+        while time.monotonic() - self._due_s > self._step_s:  # nobody took it
+            next(self._order)
+            self._due_s += self._step_s
+        time.sleep(max(self._due_s - time.monotonic(), 0.0))
+        return np.array(self._film[next(self._order)])  # a driver's buffer is the reader's own
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def write_film(rig_file: Path, rate_hz: float, frames: int, out: Path) -> None:
+    """Render so many frames of a rig."""
+    rig = load_rig(rig_file)
+    scene = Scene(rig, 0)
+    film = np.lib.format.open_memmap(out, "w+", np.uint8, (frames, rig.camera.height, rig.camera.width))
+    for k in range(frames):
+        film[k] = scene.render(k, scene.truth(k, k / rate_hz))
+    film.flush()
+
+
+if __name__ == "__main__":
+    film, rate, rig_file, *options = sys.argv[1:]
+
+    def open_source(name: str, rig: Rig | None, say: Say) -> Camera:
+        return Camera(name, lambda: LoopedDevice(np.load(film, mmap_mode="r"), float(rate)), rig, say)
+
+    serve.open_source = open_source
+    sys.argv[1:] = ["serve", rig_file, "looped", *options]
+    sys.exit(main())
