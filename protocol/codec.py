@@ -217,8 +217,11 @@ def report_pose(message: "pb.Pose") -> Pose:
 
 
 def decode_beat(payload: bytes) -> "pb.Beat":
-    """Raises InputError for bytes that are none."""
-    return _parse(pb.Beat(), payload)
+    """Raises InputError for bytes that are none, such as another message, which protobuf takes for an empty one."""
+    beat = _parse(pb.Beat(), payload)
+    if not beat.session:
+        raise InputError(f"{len(payload)} bytes that are no {beat.DESCRIPTOR.full_name} (it is of no session)")
+    return beat
 
 
 # Rig report: rig and calibration in force, and who answers.

@@ -50,7 +50,8 @@ _OWN_KEYS_ONLY = {
     "subjects": [{"id": "everybody"}],
     "policies": [{"rules": ["only the server speaks"], "subjects": ["everybody"]}],
 }
-_RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
+# A server that is started again is found at once: trying costs a packet.
+_RETRY = {"period_init_ms": 100, "period_max_ms": 200, "period_increase_factor": 2}
 
 
 def server_config(listen: str | None = None, connect: str | None = None, options: Path | None = None) -> "zenoh.Config":

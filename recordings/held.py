@@ -1,6 +1,7 @@
-"""Who writes a recording: a file in its folder that is locked as long as its process lives, and removed in the end.
+"""Who writes a recording, a server or a recovery: a file in its folder that is locked as long as its process lives, and
+removed in the end.
 
-Where that file is left and not locked, the recording was cut off.
+Where that file is left and not locked, the recording was cut off. Some network disks know no locks.
 """
 
 import contextlib
@@ -38,6 +39,7 @@ def held_for_recovery(folder: Path) -> Iterator[None]:
     try:
         held = hold(folder)
     except OSError:  # no folder, or one that cannot be written: not for us to say
+        _refuse_held(folder)
         yield
         return
     whole = False
@@ -66,9 +68,9 @@ def hold(folder: Path, camera: str | None = None) -> Hold:
                 os.pwrite(file, json.dumps(told).encode(), 0)
                 return Hold(path, file)
         except BlockingIOError:
-            who = _who(file)
+            refusal = _refusal(folder, file)
             os.close(file)
-            raise InputError(f"{folder}: is being written by {who}; expected a recording that nobody writes") from None
+            raise refusal from None
         except OSError:
             os.close(file)
             raise
@@ -87,6 +89,26 @@ def cut_off(parent: Path, camera: str) -> list[Path]:
             finally:
                 os.close(file)
     return found
+
+
+def _refuse_held(folder: Path) -> None:
+    """Raises InputError where somebody whose file we may only read holds it."""
+    with contextlib.suppress(OSError):
+        file = os.open(folder / WRITER, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
+        try:
+            if not _is_free(file):
+                raise _refusal(folder, file)
+        finally:
+            os.close(file)
+
+
+def _refusal(folder: Path, file: int) -> InputError:
+    pid = _told(file).get("pid")
+    who = f"process {pid}" if isinstance(pid, int) else "another process"
+    return InputError(
+        f"{folder}: is being written by {who}, which records or recovers it; expected a recording that nobody writes: "
+        "stop that one first"
+    )
 
 
 def _is(path: Path, file: int) -> bool:
@@ -116,8 +138,3 @@ def _told(file: int) -> dict[str, object]:
     except (ValueError, RecursionError):
         return {}
     return told if isinstance(told, dict) else {}
-
-
-def _who(file: int) -> str:
-    pid = _told(file).get("pid")
-    return f"process {pid}" if isinstance(pid, int) else "another process"

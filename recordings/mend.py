@@ -6,7 +6,6 @@ NAME.damaged.
 """
 
 import contextlib
-import fcntl
 import os
 from collections import Counter
 from collections.abc import Callable
@@ -49,13 +48,11 @@ class Mended:
 
 
 def mend(files: list[Path]) -> list[Mended]:
-    """Mend what is not whole.
+    """Mend what is not whole. Nobody else may write meanwhile: `held_for_recovery`.
 
-    Raises InputError, before anything is changed, where a file is none, a link or being recorded, or where nothing can
-    be read; WorldError where the disk takes no more: the file in work is then as it was.
+    Raises InputError, before anything is changed, where a file is none or a link, or where nothing can be read;
+    WorldError where the disk takes no more: the file in work is then as it was.
     """
-    for file in files:
-        _refuse_held(file)
     found = [examine(file) for file in files]
     if not any(one.contents.messages or one.texts for one in found):
         names = ", ".join(one.path.name for one in found)
@@ -65,17 +62,6 @@ def mend(files: list[Path]) -> list[Mended]:
         return [_mend(one, texts) for one in found]
     except OSError as error:
         raise WorldError(f"{error.filename or files[0].parent}: cannot be written ({error.strerror})") from None
-
-
-def _refuse_held(path: Path) -> None:
-    """Raise InputError for a file that a recorder is writing."""
-    with opened(path, follow=False) as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(f"{path}: is being recorded at the moment; stop its server first") from None
-        except OSError:
-            return  # some network disks know no locks
 
 
 def _mend(found: Examined, texts: dict[str, dict[str, str]]) -> Mended:

@@ -3,8 +3,6 @@
 Large payloads are never copied: they go from where they are to the disk, or into the compression.
 """
 
-import contextlib
-import fcntl
 import os
 import zlib
 from collections.abc import Callable, Sequence
@@ -30,9 +28,6 @@ class Output:
 
     def __init__(self, path: Path) -> None:
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
-        # Whoever would mend the file sees that it is being written. Some network disks know no locks.
-        with contextlib.suppress(OSError):
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self.whole = 0  # bytes on disk that end with a whole record
 
     def write(self, parts: Sequence[Buffer]) -> None:

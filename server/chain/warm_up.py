@@ -1,14 +1,14 @@
 """Compile kernels before they are needed: the first time on a machine that takes a while, and is said."""
 
 import contextlib
+import importlib
 import logging
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 
 from numba import config
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from numba.np import linalg
 
 from asterism.protocol.rig import ESTIMATORS, Rig
 from asterism.server.chain.compile_beside import compile_beside, cores, divide
@@ -29,6 +29,7 @@ def warm_up(*needs: str) -> None:
     """Make every kernel ready that is needed for any of ``needs``; what is compiled is kept on disk."""
     if config.DISABLE_JIT:
         return
+    _leave_scipy_out()
     entries = [entry for entry in kernel_list() if not entry.needs.isdisjoint(needs)]
     problem = open_folder()
     if not all(entry.is_kept() for entry in entries):
@@ -40,6 +41,18 @@ def warm_up(*needs: str) -> None:
             _compile(entries, kept=False)
     for entry in entries:
         entry.make_ready()
+
+
+def _leave_scipy_out() -> None:
+    """With its first kernel numba imports SciPy's linear algebra, a twelfth of a start, to see whether it is there.
+
+    It is: the server needs SciPy. A kernel that calls it imports it when it is compiled, or runs.
+    """
+    look, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+    try:
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        linalg.ensure_blas = look
 
 
 def _compile(missing: Sequence[Entry], kept: bool = True) -> None:
@@ -66,6 +79,9 @@ def _told(missing: Sequence[Entry], kept: bool) -> Iterator[Callable[[Entry], No
     began = time.monotonic()
     kernels = "1 kernel" if len(missing) == 1 else f"{len(missing)} kernels"
     if _shows():
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
         columns = (
             TextColumn(f"compiling for this machine{', once' * kept}"),
             BarColumn(),

@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,6 +20,7 @@ from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.chain.pipeline import localize
 from asterism.server.chain.smooth import Motions, smooth
 from asterism.server.chain.warm_up import localizing, warm_up
+from asterism.server.command.number_arguments import bits
 from asterism.server.command.shared_arguments import FINITE_SOURCE, add_out, add_smoothing
 from asterism.server.output import check_file, new_file
 from asterism.server.pose.solve import PoseEstimate
@@ -45,6 +47,12 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     part.add_argument("source", metavar="SOURCE", help=FINITE_SOURCE)
     add_out(part, "OUT", "where the lines go; - for the terminal")
     part.add_argument("--independent", action="store_true", help="each frame alone, without what came before")
+    part.add_argument(
+        "--bits",
+        metavar="N",
+        type=bits,
+        help="of 16-bit images that are the camera's (default: the rig's, or what is seen)",
+    )
     add_smoothing(part)
 
 
@@ -55,6 +63,8 @@ def run(options: argparse.Namespace) -> int:
     if str(options.out) != "-":
         check_file(options.out, options.force)
     rig = load_rig(options.rig)
+    if options.bits is not None:
+        rig = replace(rig, capture=replace(rig.capture, bits=options.bits))
     say_warnings(rig)
     refuse_endless(options.source, "locate")
     source = open_source(options.source, rig, say)

@@ -46,6 +46,14 @@ def port(text: str) -> int:
     return value
 
 
+def bits(text: str) -> int:
+    """Significant bits of a pixel."""
+    value = _digits(text)
+    if value is None or not 8 <= value <= 16:
+        raise argparse.ArgumentTypeError(f"{describe(text)}, expected a number of bits, 8 to 16")
+    return value
+
+
 def size(text: str) -> int:
     """Bytes of a size such as 50GB, 1.5TB or 500MiB."""
     match = _SIZE.fullmatch(text)

@@ -1,13 +1,14 @@
 """One line on the terminal's error channel that says how a run is doing, redrawn in place; elsewhere nothing."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
-
-from rich.console import Console
-from rich.live import Live
-from rich.text import Text
+from typing import TYPE_CHECKING, NamedTuple
 
 from asterism.server.service.telling import shows_progress
+
+if TYPE_CHECKING:  # a service without a terminal starts without it
+    from rich.console import Console
+    from rich.live import Live
+    from rich.text import Text
 
 REFRESH_HZ = 4.0
 LOCATED = ("TRACKED", "TILT_AMBIGUOUS")
@@ -47,14 +48,16 @@ def states(robots: Mapping[str, str]) -> str:
 class LiveLine:
     """A context manager that keeps the line on the terminal; what is said meanwhile goes above it."""
 
-    def __init__(self, now: Callable[[], Now], console: Console | None = None) -> None:
+    def __init__(self, now: Callable[[], Now], console: "Console | None" = None) -> None:
         self._now = now
         self._shown = shows_progress() if console is None else console.is_terminal
-        self._console = console or Console(stderr=True)
+        self._console = console
         self._live: Live | None = None
 
-    def draw(self) -> Text:
+    def draw(self) -> "Text":
         """The line as it is now."""
+        from rich.text import Text
+
         now = self._now()
         line = Text(told(now), no_wrap=True, overflow="ellipsis")
         if now.problem:
@@ -63,9 +66,11 @@ class LiveLine:
 
     def __enter__(self) -> "LiveLine":
         if self._shown:
-            self._live = Live(
-                get_renderable=self.draw, console=self._console, refresh_per_second=REFRESH_HZ, transient=True
-            )
+            from rich.console import Console
+            from rich.live import Live
+
+            console = self._console or Console(stderr=True)
+            self._live = Live(get_renderable=self.draw, console=console, refresh_per_second=REFRESH_HZ, transient=True)
             self._live.__enter__()
         return self
 

@@ -76,7 +76,8 @@ class Rivals:
             beat = decode_beat(sample.payload.to_bytes())
         except InputError:
             return
-        if self.sentence or (beat.started_ns, beat.session) >= self._publisher.age_key:
+        # One that does not say since when it runs is of nobody that could have been there first.
+        if self.sentence or not beat.started_ns or (beat.started_ns, beat.session) >= self._publisher.age_key:
             return
         self.sentence = (
             f"another server of this camera is on the network, since {_clock(beat.started_ns)} "

@@ -34,11 +34,11 @@ class Depth:
             if self._found != 16:
                 self._say(
                     f"{name}: values up to {brightest} in 16 bits: taken for a camera of {self._found} bits; "
-                    "if that is wrong, say --bits N or capture.bits in the rig"
+                    "if that is wrong, say locate --bits N, or capture.bits in the rig"
                 )
         if brightest >= 1 << self._found:
             raise InputError(
                 f"{name}: values up to {brightest}, more than the {self._found} bits that the first image showed; say "
-                "how many there are: --bits N, or capture.bits in the rig"
+                "how many there are: locate --bits N, or capture.bits in the rig"
             )
         return self._found

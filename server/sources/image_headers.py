@@ -9,6 +9,7 @@ import struct
 MOST_PAGES = 100_000
 MOST_PIXELS = 1 << 28  # larger than any camera's
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
+_SEQUENTIAL, _SCAN, _END = (0xC0, 0xC1), 0xDA, 0xD9  # JPEG's markers; sequential with Huffman's codes
 _TIFFS = {b"II*\0": "<", b"MM\0*": ">", b"II+\0": "<", b"MM\0+": ">"}
 _BIG = b"+"
 _WIDTH, _HEIGHT = 256, 257  # tags of a TIFF directory
@@ -37,7 +38,7 @@ def _sizes(data: bytes) -> list[tuple[int, int]]:
     if data.startswith(_PNG):
         return [_png(data)]
     if data.startswith(_JPEG):
-        return [_jpeg(data)]
+        return [_jpeg(data)[0]]
     if data[:4] in _TIFFS:
         return _tiff(data)
     if data.startswith(b"BM"):
@@ -59,24 +60,36 @@ def _png(data: bytes) -> tuple[int, int]:
             return int(size[0]), int(size[1])
 
 
-def _jpeg(data: bytes) -> tuple[int, int]:
-    """Marker by marker up to the end of the image; in coded data a 0xff is followed by 0 or a restart."""
-    size, at = None, 2
+def coded_in_one_go(data: bytes) -> bytes | None:
+    """A JPEG file up to its end marker, where all of the image is in one sequential scan; else None. Raises NoImage."""
+    if not data.startswith(_JPEG):
+        return None
+    _, end, scans, sequential = _jpeg(data)
+    return data[:end] if sequential and scans == 1 else None
+
+
+def _jpeg(data: bytes) -> tuple[tuple[int, int], int, int, bool]:
+    """Marker by marker up to the end of the image; in coded data a 0xff is followed by 0 or a restart.
+
+    Returns its size, where the end marker stands, how many scans there are, and whether they are sequential.
+    """
+    size, at, scans, sequential = None, 2, 0, False
     while True:
         at = data.find(b"\xff", at)
         if at < 0 or at + 1 >= len(data):
             raise NoImage("is cut off")
         kind = data[at + 1]
-        if kind == 0xD9:
+        if kind == _END:
             if size is None:
                 raise NoImage("is no whole image")
-            return size
+            return size, at, scans, sequential
         if kind in (0x00, 0x01, 0xFF) or 0xD0 <= kind <= 0xD8:
             at += 1 if kind == 0xFF else 2
             continue
         if 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
             height, width = struct.unpack_from(">HH", data, at + 5)
-            size = width, height
+            size, sequential = (width, height), kind in _SEQUENTIAL
+        scans += kind == _SCAN
         at += 2 + struct.unpack_from(">H", data, at + 2)[0]
 
 

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from asterism.protocol.errors import InputError
 from asterism.protocol.text_file import read_bytes
-from asterism.server.sources.image_headers import NoImage, page_sizes
+from asterism.server.sources.image_headers import NoImage, coded_in_one_go, page_sizes
 
 EXTENSIONS = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 LARGEST_FILE = 1 << 32  # bytes; a stack of frames
+_AHEAD = 8  # bytes that a JPEG decoder's bits are taken from
 
 
 class UnreadableImage(Exception):
@@ -35,7 +36,9 @@ def read_pages(path: Path, check_size: CheckSize) -> Iterator[tuple[str, NDArray
     may hold many, and the third of stack.tiff is called stack.tiff#2.
 
     ``check_size`` is asked for width and height of every page before anything is decoded, and raises what it likes.
-    Raises UnreadableImage for a file that is missing, cut off or no image.
+    Raises UnreadableImage for a file that is missing, cut off or no image; also for a JPEG file whose data ends before
+    the image does, because some of it is lost or damaged (not where it is in several scans). Other damage shows in
+    nothing: JPEG has no check sum.
     """
     try:
         data = read_bytes(path, "an image", LARGEST_FILE)
@@ -54,7 +57,15 @@ def read_pages(path: Path, check_size: CheckSize) -> Iterator[tuple[str, NDArray
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     for page in range(len(sizes)):
         name = path.name if len(sizes) == 1 else f"{path.name}#{page}"
-        yield name, _decoded(np.frombuffer(data, np.uint8), page, len(sizes))
+        yield name, _decoded(np.frombuffer(_open_ended(data), np.uint8), page, len(sizes))
+
+
+def _open_ended(data: bytes) -> bytes:
+    """A JPEG file without its end marker: a decoder that finds it too early makes up the rest of the image in silence,
+    and only says so where the file itself ends. The bytes behind are what it reads ahead.
+    """
+    coded = coded_in_one_go(data)
+    return data if coded is None else coded + bytes(_AHEAD)
 
 
 def _decoded(data: NDArray[np.uint8], page: int, pages: int) -> NDArray[Any]:

@@ -202,7 +202,7 @@ def test_shares_take_about_the_same_time_and_keep_neighbours_together() -> None:
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
     shown = io.StringIO()
-    monkeypatch.setattr(warm_up, "Console", lambda **_: Console(file=shown, force_terminal=True, width=80))
+    monkeypatch.setattr("rich.console.Console", lambda **_: Console(file=shown, force_terminal=True, width=80))
     monkeypatch.setattr(warm_up, "_shows", lambda: True)
     return shown
 
@@ -254,6 +254,20 @@ def test_other_commands_stay_light() -> None:
     assert "asterism.server.command.watch" in others
     code = f"import sys, importlib\nfor name in {others}: importlib.import_module(name)\nprint('numba' in sys.modules)"
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "False\n"
+
+
+def test_a_start_without_a_terminal_loads_no_more_than_it_needs() -> None:
+    """A service that is started again is waited for: these were an eighth of its start."""
+    code = """
+import sys
+import asterism.server.command.serve
+from asterism.server.chain.warm_up import warm_up
+warm_up("nothing")
+from numba.core.registry import cpu_target
+cpu_target.target_context.refresh()
+print([name for name in ("numba.np.arraymath", "scipy.linalg", "rich") if name in sys.modules])
+"""
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "['numba.np.arraymath']\n"
 
 
 PLATES = ("--robots", "2", "--disc", "0.1", "--spacing", "0.02", "--distance", "1.5", "--sigma", "0.05")

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from asterism.protocol.errors import InputError
+from asterism.recordings import held
 from asterism.recordings.held import WRITER, cut_off, held_for_recovery, hold
 
 HOLDER = """
@@ -29,7 +30,7 @@ def test_what_a_living_process_writes_is_nobody_elses(tmp_path: Path) -> None:
         assert holder.stdout is not None
         assert holder.stdout.readline() == "held\n"
         assert cut_off(tmp_path, "cam") == []
-        with pytest.raises(InputError, match=rf"cam-1: is being written by process {holder.pid}; expected"):
+        with pytest.raises(InputError, match=rf"cam-1: is being written by process {holder.pid}, which records or"):
             hold(folder)
         with pytest.raises(InputError), held_for_recovery(folder):
             pass
@@ -46,8 +47,7 @@ def test_a_recovery_that_fails_leaves_the_mark_and_makes_none(tmp_path: Path) ->
     folder = tmp_path / "cam-1"
     folder.mkdir()
     (tmp_path / "cam-link").symlink_to(folder)
-    held = hold(folder, "cam")
-    held.release(whole=False)
+    hold(folder, "cam").release(whole=False)
     with pytest.raises(OSError, match="full"), held_for_recovery(folder):
         raise OSError("full")
     assert cut_off(tmp_path, "cam") == [folder]
@@ -55,6 +55,21 @@ def test_a_recovery_that_fails_leaves_the_mark_and_makes_none(tmp_path: Path) ->
     with pytest.raises(OSError, match="full"), held_for_recovery(folder):
         raise OSError("full")
     assert list(folder.iterdir()) == []
+
+
+def test_what_may_only_be_read_is_refused_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    living = hold(tmp_path, "cam")
+
+    def only_read(*_: object) -> None:
+        raise PermissionError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(held, "hold", only_read)
+        with pytest.raises(InputError, match=f"is being written by process {os.getpid()}"), held_for_recovery(tmp_path):
+            pass
+        living.release(whole=False)
+        with held_for_recovery(tmp_path):
+            pass
 
 
 @pytest.mark.parametrize("what", ["fifo", "link", "folder", "nonsense", "list", "deep", "empty"])

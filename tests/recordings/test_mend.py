@@ -190,8 +190,9 @@ def test_every_chunk_can_be_read_alone(tmp_path: Path) -> None:
         assert {channel.schema_id for channel in chunk.channels.values()} == set(chunk.schemas)
 
 
-def test_what_is_being_recorded_is_left_alone(tmp_path: Path) -> None:
+def test_what_is_being_recorded_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from asterism.recordings.recorder import FramesKept, Recorder
+    from asterism.server.__main__ import main
     from tests.recordings.mutations import rig
 
     told, _ = hand_made(6, np.random.default_rng(1))
@@ -200,8 +201,8 @@ def test_what_is_being_recorded_is_left_alone(tmp_path: Path) -> None:
         recorder.write([message], None, message.log_ns, message.sequence)
     while not list(recorder.folder.glob("*.mcap")):
         time.sleep(0.002)
-    with pytest.raises(InputError, match="is being recorded at the moment; stop its server first"):
-        mend(sorted(recorder.folder.glob("*.mcap")))
+    assert main(["recover", str(recorder.folder)]) == 2
+    assert f"is being written by process {os.getpid()}, which records or recovers it" in capsys.readouterr().err
     recorder.close({})
     assert [str(one).endswith("whole") for one in mend(sorted(recorder.folder.glob("*.mcap")))] == [True]
 

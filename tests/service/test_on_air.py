@@ -141,7 +141,8 @@ def test_of_two_that_started_together_the_later_ends() -> None:
             later = pb.Beat(session=number, started_ns=began_ns + 1)
             earlier = pb.Beat(session=number, started_ns=began_ns - 1)
             heard = Heard(session, "asterism/**")
-            session.put(keys.beat("cam"), b"\xff no beat")
+            for nonsense in (b"\xff no beat", b"", to_bytes(pb.FrameReport()), to_bytes(pb.Beat(session=1))):
+                session.put(keys.beat("cam"), nonsense)
             session.put(keys.beat("cam"), to_bytes(later))
             heard.until(nothing)
             assert not air.rivals.sentence

@@ -4,6 +4,7 @@ import struct
 import subprocess
 import sys
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -72,6 +73,59 @@ def test_what_stands_behind_an_images_end_is_none_of_it(tmp_path: Path, suffix: 
     file.write_bytes(data[:-30])
     with pytest.raises(UnreadableImage, match="is cut off"):
         next(read_pages(file, any_size))
+
+
+KINDS_OF_JPEG = (
+    (),
+    (cv2.IMWRITE_JPEG_OPTIMIZE, 1),
+    (cv2.IMWRITE_JPEG_RST_INTERVAL, 3),
+    (cv2.IMWRITE_JPEG_PROGRESSIVE, 1),
+    (cv2.IMWRITE_JPEG_QUALITY, 30),
+)
+
+
+@pytest.mark.parametrize("options", KINDS_OF_JPEG)
+@pytest.mark.parametrize("shape", [(48, 64), (33, 47), (33, 47, 3), (9, 300)])
+def test_whole_jpeg_files_are_read_as_any_decoder_reads_them(
+    tmp_path: Path, rng: np.random.Generator, options: tuple[int, ...], shape: tuple[int, ...]
+) -> None:
+    file = tmp_path / "a.jpg"
+    for image in (np.zeros(shape, np.uint8), np.full(shape, 128, np.uint8), *rng.integers(0, 256, (20, *shape))):
+        cv2.imwrite(str(file), image.astype(np.uint8), options)
+        read = next(read_pages(file, any_size))[1]
+        np.testing.assert_array_equal(read, cv2.imread(str(file), cv2.IMREAD_UNCHANGED))
+
+
+def lose(data: bytes, at: int) -> bytes:
+    return data[:at] + data[at + 40 :]
+
+
+def end_early(data: bytes, at: int) -> bytes:
+    return data[:at] + data[-2:]
+
+
+@pytest.mark.parametrize(("damage", "least"), [(end_early, 40), (lose, 20)])
+def test_jpeg_data_that_ends_before_the_image_is_damaged(
+    tmp_path: Path,
+    rng: np.random.Generator,
+    damage: Callable[[bytes, int], bytes],
+    least: int,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    file, found = tmp_path / "a.jpg", 0
+    noise = rng.normal(40, 60, (240, 320)).clip(0, 255).astype(np.uint8)
+    cv2.imwrite(str(file), cv2.GaussianBlur(noise, (0, 0), 1))
+    data = file.read_bytes()
+    first = data.index(b"\xff\xda") + 20
+    for at in rng.integers(first, len(data) - 60, 40):
+        file.write_bytes(damage(data, int(at)))
+        try:
+            next(read_pages(file, any_size))
+        except UnreadableImage:
+            found += 1
+    # What is read instead of what is lost may be as many blocks, or more.
+    assert found >= least, found
+    assert capfd.readouterr().err == ""
 
 
 def test_every_page_of_a_tiff_is_a_frame(tmp_path: Path) -> None:
