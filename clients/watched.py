@@ -219,16 +219,15 @@ def _row(camera: str, report: "pb.FrameReport", robot: "pb.RobotReport") -> Row:
     row = Row(printable(camera), robot.id, State.Name(robot.state), printable(robot.reason))
     if not robot.HasField("pose"):
         return row
-    p, q = robot.pose.position, robot.pose.orientation
-    length = math.hypot(q.x, q.y, q.z, q.w)
-    if not (math.isfinite(p.x + p.y + p.z) and 0.0 < length < math.inf):
-        raise InputError(f"robot {robot.id!r}: a pose that is none")
-    pose = report_pose(robot.pose)
-    turn = pose.rotation
+    try:
+        pose = report_pose(robot.pose)
+    except InputError as error:
+        raise InputError(f"robot {robot.id!r}: {error}") from None
+    (x, y, z), turn = (1e3 * pose.position).tolist(), pose.rotation
     return replace(
         row,
         age_s=(report.published_ns - report.exposed_ns) * 1e-9,
-        position_mm=(1e3 * p.x, 1e3 * p.y, 1e3 * p.z),
+        position_mm=(x, y, z),
         heading_deg=math.degrees(math.atan2(turn[1, 0], turn[0, 0])),
         tilt_deg=math.degrees(_tilt(turn)),
         leds=robot.leds,

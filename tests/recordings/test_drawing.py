@@ -230,3 +230,12 @@ def test_every_view_shows_what_is_logged_and_names_its_unit(rig: Rig, tmp_path: 
         assert {line.rpartition(", ")[2] for line in lines} == {str(view.name).rpartition(", ")[2]}
         # One line needs no legend; two are told apart by their colours.
         assert len(lines) == (2 if view.origin == "plots/latency" else 1)
+
+
+def test_a_robot_that_another_rig_has_is_left_out(rig: Rig, tmp_path: Path) -> None:
+    """A recording goes on when the server's rig is read again, with whoever is in it then."""
+    report = told(rig, 0, everywhere(rig))
+    before = drawn(rig, [report], tmp_path / "before.rrd")
+    report.robots.add().CopyFrom(report.robots[0])
+    report.robots[-1].id = "zulu"
+    assert drawn(rig, [report], tmp_path / "after.rrd").keys() == before.keys()
