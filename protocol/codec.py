@@ -32,6 +32,7 @@ from asterism.protocol.rig import Rig
 SECOND_NS = 1_000_000_000
 _PUBLISHED = "published_ns"
 _ACCELERATIONS = ("acceleration", "turn_acceleration")
+_FARTHEST_M = 1e9
 _LONGEST = 200  # of a reason
 UNIT = 1e-3  # a quaternion may be off unit length by so much
 _DATA_TAG = bytes([RawImage.DATA_FIELD_NUMBER << 3 | 2])  # a field of bytes
@@ -213,10 +214,10 @@ def set_report_pose(target: "pb.Pose", pose: Pose) -> None:
 
 
 def report_pose(message: "pb.Pose") -> Pose:
-    """The pose in a report. Raises InputError for one that is none: not finite, or no rotation."""
+    """The pose in a report. Raises InputError for one that is none: not finite, beyond everything, or no rotation."""
     p, q = message.position, message.orientation
     length = math.hypot(q.x, q.y, q.z, q.w)
-    if not (abs(length - 1.0) <= UNIT and all(map(math.isfinite, (p.x, p.y, p.z)))):
+    if not (abs(length - 1.0) <= UNIT and all(abs(v) <= _FARTHEST_M for v in (p.x, p.y, p.z))):
         raise InputError(f"a pose at {p.x:g}, {p.y:g}, {p.z:g} m, its quaternion of length {length:.3g}, is none")
     return Pose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
 
