@@ -215,14 +215,14 @@ def _status_line(name: str, camera: _Camera, silent: bool, width: int) -> Text:
 def _row(camera: str, report: "pb.FrameReport", robot: "pb.RobotReport") -> Row:
     """A robot as its report has it. Raises InputError for a report that no server of ours makes."""
     if robot.state not in State.values():
-        raise InputError(f"robot {robot.id!r}: state {robot.state}, expected one of {', '.join(State.keys()[1:])}")
+        raise InputError(f"robot {robot.id[:40]!r}: state {robot.state}, expected one of {', '.join(State.keys()[1:])}")
     row = Row(printable(camera), robot.id, State.Name(robot.state), printable(robot.reason))
     if not robot.HasField("pose"):
         return row
     try:
         pose = report_pose(robot.pose)
     except InputError as error:
-        raise InputError(f"robot {robot.id!r}: {error}") from None
+        raise InputError(f"robot {robot.id[:40]!r}: {error}") from None
     (x, y, z), turn = (1e3 * pose.position).tolist(), pose.rotation
     return replace(
         row,

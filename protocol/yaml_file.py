@@ -15,7 +15,7 @@ from typing import Any
 from asterism.protocol.errors import InputError
 from asterism.protocol.text_file import read_text
 
-MOST = 1e12  # of any unit: what is computed from such numbers stays finite
+MOST = 1e30  # of any unit: what is computed from such numbers stays finite
 _LONG = 200
 _DEEPEST = 100
 _BRACKETS = re.compile(r"[\[\]{}]")
