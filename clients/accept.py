@@ -9,7 +9,8 @@ LOCATED = ("TRACKED", "TILT_AMBIGUOUS")
 LEDS = range(4, 7)  # that a pose can rest on
 LONGEST_S = 600.0  # from exposure to publishing
 _NS = 1 << 63
-_UNEVEN = 1e-6  # of a covariance's two halves, as a correlation
+UNEVEN = 1e-6  # of a covariance's two halves, as a correlation
+MOST = 1e9  # m, m/s, rad/s: what is computed from such numbers stays finite
 
 
 def problem(pose: RobotPose, robot: str) -> str | None:
@@ -20,40 +21,49 @@ def problem(pose: RobotPose, robot: str) -> str | None:
         return f"has state {pose.state[:40]!r}, expected {' or '.join(LOCATED)}"
     if pose.leds not in LEDS:
         return f"rests on {_number(pose.leds)} LEDs, expected {LEDS[0]} to {LEDS[-1]}"
-    if not _is_finite(pose.position):
-        return "has a position that is not finite"
-    if not (math.isfinite(pose.rms_px) and pose.rms_px >= 0.0):
+    if not _is_within(pose.position, MOST):
+        return f"has a position that is not finite, or beyond {MOST:g} m"
+    if not 0.0 <= pose.rms_px <= MOST:
         return f"has residuals of {pose.rms_px} px"
-    if not is_covariance(pose.covariance):
+    if not (_is_within(pose.covariance.ravel(), MOST**2) and is_covariance(pose.covariance)):
         return "has a covariance that is none"
     velocity = pose.velocity
     if velocity is not None and not (
-        _is_finite(velocity.linear)
-        and _is_finite(velocity.angular)
+        _is_within(velocity.linear, MOST)
+        and _is_within(velocity.angular, MOST)
+        and _is_within(velocity.covariance.ravel(), MOST**2)
         and is_covariance(velocity.covariance)
-        and all(0.0 <= density < math.inf for density in velocity.accelerations)
+        and all(0.0 <= density <= MOST for density in velocity.accelerations)
     ):
         return "has a velocity that is none"
     return _times(pose)
 
 
 def is_covariance(matrix: Floats) -> bool:
-    """Finite, symmetric, with variances above 0 and no correlation beyond 1: (n, n)."""
+    """Finite, symmetric, with variances above 0 in every direction but for rounding: (n, n)."""
     rows = matrix.tolist()  # plain numbers: numpy is slow at small arrays
     variances = [rows[k][k] for k in range(len(rows))]
     if not all(0.0 < variance < math.inf for variance in variances):
         return False
     sigmas = [math.sqrt(variance) for variance in variances]
+    factor: list[list[float]] = []  # Cholesky's, of the correlations
     for i, row in enumerate(rows):
+        line: list[float] = []
         for j in range(i):
             most = sigmas[i] * sigmas[j]
-            if not (abs(row[j]) <= (1.0 + _UNEVEN) * most and abs(row[j] - rows[j][i]) <= _UNEVEN * most):
+            if not (abs(row[j]) <= (1.0 + UNEVEN) * most and abs(row[j] - rows[j][i]) <= UNEVEN * most):
                 return False
+            told = sum(a * b for a, b in zip(line, factor[j], strict=False))
+            line.append((row[j] / most - told) / factor[j][j])
+        left = 1.0 + UNEVEN - sum(a * a for a in line)
+        if left <= 0.0:
+            return False
+        factor.append([*line, math.sqrt(left)])
     return True
 
 
-def _is_finite(vector: Floats) -> bool:
-    return all(map(math.isfinite, vector.tolist()))
+def _is_within(vector: Floats, most: float) -> bool:
+    return all(abs(number) <= most for number in vector.tolist())
 
 
 def _times(pose: RobotPose) -> str | None:

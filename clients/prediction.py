@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asterism.clients.accept import UNEVEN
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose, exp_rotation
 from asterism.protocol.messages import RobotPose
@@ -60,9 +61,17 @@ def _grown(seen: RobotPose, ahead_s: float) -> Floats:
     assert seen.velocity is not None
     to_parent = np.kron(np.eye(2), seen.pose.rotation)
     velocity = to_parent @ seen.velocity.covariance @ to_parent.T
-    half = np.linalg.cholesky(seen.covariance) @ np.linalg.cholesky(velocity).T
+    half = _root(seen.covariance) @ _root(velocity).T
     linear, angular = seen.velocity.accelerations
     white = UNFORESEEN * np.repeat([linear, angular], 3) * ahead_s**3 / 3.0
     between = CORRELATION * ahead_s * (half + half.T)
     grown: Floats = seen.covariance + between + ahead_s**2 * velocity + np.diag(white)
     return grown
+
+
+def _root(covariance: Floats) -> Floats:
+    """Cholesky's factor (6, 6) of a covariance that was accepted: nearly singular ones have one too."""
+    sigmas = np.sqrt(np.diag(covariance))
+    correlations = covariance / np.outer(sigmas, sigmas)
+    factor: Floats = sigmas[:, None] * np.linalg.cholesky(correlations + UNEVEN * np.eye(6))
+    return factor

@@ -210,19 +210,18 @@ def _server_lines(name: str, status: "pb.Status | None", link: Link, width: int)
 def _row(camera: str, robot: "pb.RobotReport") -> Row:
     """A robot as its report has it. Raises InputError for a report that no server of ours makes."""
     if robot.state not in State.values():
-        raise InputError(f"robot {robot.id!r}: state {robot.state}, expected one of {', '.join(State.keys()[1:])}")
+        raise InputError(f"robot {robot.id[:40]!r}: state {robot.state}, expected one of {', '.join(State.keys()[1:])}")
     row = Row(printable(camera), robot.id, State.Name(robot.state), printable(robot.reason))
     if not robot.HasField("pose"):
         return row
-    p, q = robot.pose.position, robot.pose.orientation
-    length = math.hypot(q.x, q.y, q.z, q.w)
-    if not (math.isfinite(p.x + p.y + p.z) and 0.0 < length < math.inf):
-        raise InputError(f"robot {robot.id!r}: a pose that is none")
-    pose = report_pose(robot.pose)
-    turn = pose.rotation
+    try:
+        pose = report_pose(robot.pose)
+    except InputError as error:
+        raise InputError(f"robot {robot.id[:40]!r}: {error}") from None
+    (x, y, z), turn = (1e3 * pose.position).tolist(), pose.rotation
     return replace(
         row,
-        position_mm=(1e3 * p.x, 1e3 * p.y, 1e3 * p.z),
+        position_mm=(x, y, z),
         heading_deg=math.degrees(math.atan2(turn[1, 0], turn[0, 0])),
         tilt_deg=math.degrees(_tilt(turn)),
         leds=robot.leds,

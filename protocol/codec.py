@@ -32,7 +32,9 @@ from asterism.protocol.rig import Rig
 SECOND_NS = 1_000_000_000
 _PUBLISHED = "published_ns"
 _ACCELERATIONS = ("acceleration", "turn_acceleration")
-_UNIT = 1e-3  # a quaternion may be off unit length by so much
+_FARTHEST_M = 1e9
+_LONGEST = 200  # of a reason
+UNIT = 1e-3  # a quaternion may be off unit length by so much
 _DATA_TAG = bytes([RawImage.DATA_FIELD_NUMBER << 3 | 2])  # a field of bytes
 
 M = TypeVar("M", bound=Protobuf)
@@ -162,7 +164,7 @@ def decode_odometry(payload: bytes) -> RobotPose:
         metadata = {pair.key: pair.value for pair in message.metadata}
         p, q = message.pose.position, message.pose.orientation
         length = math.hypot(q.x, q.y, q.z, q.w)
-        if not abs(length - 1.0) <= _UNIT:
+        if not abs(length - 1.0) <= UNIT:
             raise ValueError(f"a quaternion of length {length:.3g}")
         return RobotPose(
             robot=message.body_frame_id,
@@ -181,7 +183,8 @@ def decode_odometry(payload: bytes) -> RobotPose:
             velocity=_velocity(message, metadata),
         )
     except (DecodeError, KeyError, ValueError) as error:
-        raise InputError(f"odometry message: {len(payload)} bytes that are no pose of Asterism ({error})") from None
+        why = str(error)[:_LONGEST]  # it may quote any text of the message
+        raise InputError(f"odometry message: {len(payload)} bytes that are no pose of Asterism ({why})") from None
 
 
 # FrameReport and Status are used as the protobuf messages they are.
@@ -211,8 +214,11 @@ def set_report_pose(target: "pb.Pose", pose: Pose) -> None:
 
 
 def report_pose(message: "pb.Pose") -> Pose:
-    """The pose in a report."""
+    """The pose in a report. Raises InputError for one that is none: not finite, beyond everything, or no rotation."""
     p, q = message.position, message.orientation
+    length = math.hypot(q.x, q.y, q.z, q.w)
+    if not (abs(length - 1.0) <= UNIT and all(abs(v) <= _FARTHEST_M for v in (p.x, p.y, p.z))):
+        raise InputError(f"a pose at {p.x:g}, {p.y:g}, {p.z:g} m, its quaternion of length {length:.3g}, is none")
     return Pose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
 
 

@@ -5,7 +5,9 @@ YAML 1.2 by ruamel.yaml: `no` is a word, `5e-3` a number, duplicate keys are ref
 
 import difflib
 import math
+import re
 from collections.abc import Collection, Mapping, Sequence
+from itertools import accumulate
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -13,7 +15,10 @@ from typing import Any
 from asterism.protocol.errors import InputError
 from asterism.protocol.text_file import read_text
 
+MOST = 1e30  # of any unit: what is computed from such numbers stays finite
 _LONG = 200
+_DEEPEST = 100
+_BRACKETS = re.compile(r"[\[\]{}]")
 
 
 def read_yaml(path: Path) -> "Section":
@@ -30,6 +35,9 @@ def parse_yaml(text: str, name: str) -> "Section":
     from ruamel.yaml.constructor import DuplicateKeyError
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
+    too_deep = f"{name}: is nested too deeply, expected a YAML mapping of a few levels"
+    if _is_deep(text):
+        raise InputError(too_deep)
     try:
         values = YAML(typ="safe", pure=True).load(text)
     except DuplicateKeyError as error:
@@ -41,13 +49,19 @@ def parse_yaml(text: str, name: str) -> "Section":
     except YAMLError as error:
         raise InputError(f"{name}: is no YAML: {shortened(' '.join(str(error).split()), _LONG)}") from None
     except RecursionError:
-        raise InputError(f"{name}: is nested too deeply, expected a YAML mapping of a few levels") from None
+        raise InputError(too_deep) from None
     except Exception as error:  # dates, numbers, escapes and directives that its constructors trip over
         problem = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{name}: holds a value that is none in YAML ({shortened(problem)})") from None
     if values is None:
         raise InputError(f"{name}: is empty, expected a YAML mapping")
     return Section(values, name, "")
+
+
+def _is_deep(text: str) -> bool:
+    """Whether so many brackets are open at once that the parser would take seconds to give up."""
+    steps = (1 if bracket in "[{" else -1 for bracket in _BRACKETS.findall(text))
+    return max(accumulate(steps), default=0) > _DEEPEST
 
 
 def _line(error: Any) -> int:
@@ -108,7 +122,7 @@ class Section:
         return value
 
     def number(self, key: str, *, above: float = -math.inf, least: float = -math.inf) -> float:
-        """A finite number, greater than ``above`` and not less than ``least``."""
+        """A number up to `MOST`, greater than ``above`` and not less than ``least``."""
         if above > -math.inf:
             wanted = f"a number above {above:g}"
         elif least > -math.inf:
@@ -163,10 +177,11 @@ class Section:
 def _is_number(value: object) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    try:
-        return math.isfinite(value)
-    except OverflowError:  # a whole number of more than 308 digits
-        return False
+    return -MOST <= value <= MOST
+
+
+def _is_beyond(value: object) -> bool:
+    return isinstance(value, int | float) and MOST < abs(value) < math.inf
 
 
 def describe(value: object) -> str:
@@ -178,7 +193,8 @@ def describe(value: object) -> str:
     if isinstance(value, list):
         return f"a list of {len(value)} values"
     try:
-        return shortened(repr(value))
+        told = shortened(repr(value))
+        return f"{told} (beyond {MOST:g})" if _is_beyond(value) else told
     except ValueError:  # a whole number of more than 4300 digits
         return "a number of thousands of digits"
 

@@ -88,13 +88,18 @@ class Chunk:
         believed = self.size if size is None else size
         if believed > MOST_BYTES:
             raise Damaged(f"a chunk of {believed} bytes, where at most {MOST_BYTES} are read")
+        ended = True
         if self.compression == "":
             unpacked: Buffer = self.data
+        elif self.compression == "zstd":
+            unpacked = _zstd(self.data, believed)
         else:
-            unpacked = (_zstd if self.compression == "zstd" else _lz4)(self.data, believed)
+            unpacked, ended = _lz4(self.data, believed)
         wrong = ""
         if size is None and len(unpacked) != self.size:
             wrong = "a chunk of another size than it tells"
+        elif size is None and not ended:
+            wrong = "an LZ4 frame without its end"  # which other readers refuse
         elif self.crc and zlib.crc32(unpacked) != self.crc:
             wrong = "a wrong check sum"
         if wrong:
@@ -127,9 +132,11 @@ def _zstd(data: memoryview, size: int) -> bytes:
         raise Damaged(f"zstd: {error}") from None
 
 
-def _lz4(data: memoryview, size: int) -> bytes:
+def _lz4(data: memoryview, size: int) -> tuple[bytes, bool]:
+    """Likewise; and whether the frame's end was reached."""
+    frame = lz4.frame.LZ4FrameDecompressor()
     try:
-        found: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
-        return found
+        found: bytes = frame.decompress(data, max_length=size + 1)
     except (RuntimeError, ValueError, MemoryError, EOFError) as error:
         raise Damaged(f"LZ4: {error}") from None
+    return found, frame.eof

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from asterism.protocol import asterism_pb2 as pb
-from asterism.protocol.codec import decode_frame_report, report_pose
+from asterism.protocol.codec import report_pose
 from asterism.protocol.geometry import angle_between
 from asterism.protocol.messages import FRAME_REPORT
+from asterism.recordings.decodable import read_report
 from asterism.recordings.reader import Recording
 
 
@@ -53,10 +54,10 @@ class Comparison:
 
 
 def reports(recording: Recording) -> Iterator["pb.FrameReport"]:
-    """The frame reports of a recording."""
+    """The frame reports of a recording. Raises InputError for one that no server of Asterism makes."""
     for message in recording.messages():
         if message.kind.schema == FRAME_REPORT.schema:
-            yield decode_frame_report(message.payload)
+            yield read_report(message.payload, recording.path)
 
 
 def compare(a: Recording, b: Recording) -> Comparison:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -13,6 +14,8 @@ from google.protobuf.message import Message as Protobuf
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
+from asterism.protocol.codec import UNIT, decode_frame_report
+from asterism.protocol.errors import InputError
 from asterism.protocol.messages import (
     ANNOTATIONS,
     CALIBRATION,
@@ -23,6 +26,7 @@ from asterism.protocol.messages import (
     TRANSFORMS,
     Kind,
 )
+from asterism.protocol.program import typed
 
 FINITE_M = 1e6
 
@@ -39,6 +43,17 @@ def is_decodable(schema: str, payload: bytes | memoryview) -> bool:
     except DecodeError:
         return False
     return is_sound(message)
+
+
+def read_report(payload: bytes, where: Path) -> "pb.FrameReport":
+    """The frame report in a recording's message. Raises InputError for one that no server of Asterism makes."""
+    report = decode_frame_report(payload)
+    if not _report(report):
+        raise InputError(
+            f"{where}: its report of frame {report.sequence} is none that a server makes; run this first: "
+            f"{typed('recover', where)}"
+        )
+    return report
 
 
 def channel_of(payload: bytes | memoryview, camera: str) -> tuple[str, Kind] | None:
@@ -94,6 +109,7 @@ def _report(report: "pb.FrameReport") -> bool:
         and all(_robot(robot, len(spots.x)) for robot in report.robots)
         and _finite([*spots.x, *spots.y, *spots.radius])
         and report.exposed_ns < 1 << 63
+        and report.sequence < 1 << 63
     )
 
 
@@ -105,14 +121,13 @@ def _robot(robot: "pb.RobotReport", spots: int) -> bool:
         and all(0 <= spot < spots for spot in robot.spot)
         and (not robot.HasField("pose") or _pose(robot.pose))
         and (not robot.HasField("alternative") or _pose(robot.alternative.pose))
-        and math.isfinite(robot.rms_px)
+        and _finite([*robot.residual_x, *robot.residual_y, robot.rms_px])
     )
 
 
 def _pose(pose: "pb.Pose") -> bool:
     p, q = pose.position, pose.orientation
-    length = math.hypot(q.x, q.y, q.z, q.w)
-    return _finite((p.x, p.y, p.z)) and 0.5 < length < 2.0
+    return _finite((p.x, p.y, p.z)) and abs(math.hypot(q.x, q.y, q.z, q.w) - 1.0) <= UNIT
 
 
 def _finite(numbers: Iterable[float]) -> bool:

@@ -66,12 +66,13 @@ class Drawing:
         self._stream.log("world/camera/image", rr.EncodedImage(contents=png(image), media_type="image/png"))
 
     def report(self, report: "pb.FrameReport") -> None:
-        """Show what one frame told."""
+        """Show what one frame told, but for robots that the rig does not have: one that was in force later may."""
         self._at(report.exposed_ns, report.sequence)
-        poses = {robot.id: report_pose(robot.pose) for robot in report.robots if robot.HasField("pose")}
+        robots = [robot for robot in report.robots if robot.id in self._outlines]
+        poses = {robot.id: report_pose(robot.pose) for robot in robots if robot.HasField("pose")}
         angles = {robot_id: self._angles_of(pose) for robot_id, pose in poses.items()}
         self._over_the_image(report, poses)
-        for robot in report.robots:
+        for robot in robots:
             self._state(robot)
             self._alternative(robot)
             if robot.id in poses:

@@ -12,10 +12,11 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
-from asterism.protocol.codec import decode_frame_report, decode_image
+from asterism.protocol.codec import decode_image
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import FRAME_REPORT, IMAGE
 from asterism.protocol.rig import Rig
+from asterism.recordings.decodable import read_report
 from asterism.recordings.drawing import APPLICATION, Drawing
 from asterism.recordings.layout import blueprint
 from asterism.recordings.reader import Recording
@@ -67,6 +68,6 @@ def write_rrd(recording: Recording, out: Path, views: Callable[[Rig], rrb.Bluepr
         if message.kind.schema == IMAGE.schema:
             drawing.image(decode_image(message.payload), message.log_ns, message.sequence)
         elif message.kind.schema == FRAME_REPORT.schema:
-            drawing.report(decode_frame_report(message.payload))
+            drawing.report(read_report(message.payload, recording.path))
     stream.flush()
     stream.disconnect()

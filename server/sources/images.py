@@ -57,7 +57,11 @@ def read_pages(path: Path, check_size: CheckSize) -> Iterator[tuple[str, NDArray
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     for page in range(len(sizes)):
         name = path.name if len(sizes) == 1 else f"{path.name}#{page}"
-        yield name, _decoded(np.frombuffer(_open_ended(data), np.uint8), page, len(sizes))
+        image = _decoded(np.frombuffer(_open_ended(data), np.uint8), page, len(sizes))
+        width, height = sizes[page]
+        if image.shape[:2] != (height, width):
+            raise UnreadableImage(f"is {image.shape[1]}x{image.shape[0]}, but its header says {width}x{height}")
+        yield name, image
 
 
 def _open_ended(data: bytes) -> bytes:
@@ -88,12 +92,13 @@ def to_grey8(image: NDArray[Any], bits: int | None, name: str) -> NDArray[np.uin
     16-bit pixels hold ``bits`` significant bits (None: all 16), of which the upper eight are kept; what exceeds
     them saturates. Raises InputError for other pixel types; ``name`` is what the sentence calls the image.
     """
-    if image.ndim == 3 and image.shape[2] in (3, 4):
+    other = image.dtype not in (np.uint8, np.uint16)
+    if image.ndim == 3 and image.shape[2] in (3, 4) and not other:
         code = cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
         image = cv2.cvtColor(image, code)
     elif image.ndim == 3 and image.shape[2] == 1:
         image = image[:, :, 0]
-    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+    if image.ndim != 2 or other:
         raise InputError(
             f"{name}: the image is {image.dtype} of shape {image.shape}, expected 8 or 16 bit, grey or colour"
         )

@@ -83,7 +83,7 @@ def solved(rig: Rig, robot: Robot, poses: Poses, centres: Floats, covariances: F
     T_robot_plane = robot.T_robot_plane
     true = [Pose.from_matrix(turn, t) for turn, t in zip(poses.rotations, poses.ts, strict=True)]
     starts = [pose @ T_robot_plane for pose in true]
-    constellations = Constellations(robot.leds_plane[None], optics_of(robot)[None])
+    constellations = Constellations(robot.leds_plane[None].copy(), optics_of(robot)[None])
     rotations, ts = np.array([pose.rotation for pose in starts]), np.array([pose.position for pose in starts])
     matched = Matched(np.zeros(n, np.int64), np.arange(6 * n).reshape(n, 6), rotations, ts)
     told = Solutions.room(n)

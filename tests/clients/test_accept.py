@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from asterism.clients.accept import is_covariance, problem
 from asterism.protocol.codec import decode_odometry, encode_odometry
 from asterism.protocol.errors import InputError
+from asterism.protocol.geometry import Pose
 from asterism.protocol.messages import RobotPose, Velocity
 from tests.clients.serving import COVARIANCE
 from tests.protocol.make_golden import ROBOT_POSE, SMOOTHED_POSE
@@ -22,6 +23,8 @@ from tests.protocol.make_golden import ROBOT_POSE, SMOOTHED_POSE
 POSE = replace(ROBOT_POSE, covariance=COVARIANCE)
 MOVING = Velocity(np.array([0.1, 0.0, 0.0]), np.zeros(3), COVARIANCE, (1e-3, 1e-1))
 UNEVEN = COVARIANCE + 1e-6 * np.eye(6, k=1)
+# No two of its axes correlate by more than 1, and yet there is a direction in which its variance is below 0.
+CONTRADICTORY = 1e-6 * (np.eye(6) + 0.9 * (np.eye(6, k=1) + np.eye(6, k=-1) - np.eye(6, k=2) - np.eye(6, k=-2)))
 BEYOND = COVARIANCE + 2e-10 * (np.eye(6, k=1) + np.eye(6, k=-1))
 
 
@@ -51,7 +54,14 @@ def test_what_a_server_tells_is_taken() -> None:
         ({"covariance": np.zeros((6, 6))}, "has a covariance that is none"),
         ({"covariance": UNEVEN}, "has a covariance that is none"),
         ({"covariance": BEYOND}, "has a covariance that is none"),
+        ({"covariance": CONTRADICTORY}, "has a covariance that is none"),
+        ({"covariance": 1e30 * np.eye(6)}, "has a covariance that is none"),
+        (
+            {"pose": Pose(np.array([0, 0, 1e10]), POSE.orientation)},
+            r"a position that is not finite, or beyond 1e\+09 m",
+        ),
         ({"velocity": replace(MOVING, linear=np.array([np.inf, 0, 0]))}, "has a velocity that is none"),
+        ({"velocity": replace(MOVING, angular=np.array([0, 1e300, 0]))}, "has a velocity that is none"),
         ({"velocity": replace(MOVING, covariance=UNEVEN)}, "has a velocity that is none"),
         ({"velocity": replace(MOVING, accelerations=(np.nan, 0.0))}, "has a velocity that is none"),
         ({"sequence": -1}, "has sequence -1"),
@@ -106,6 +116,13 @@ def test_correlations_decide_whatever_the_units(rng: np.random.Generator) -> Non
         for size in (1e-320, 1e-300, 1e300):
             assert is_covariance(np.full((6, 6), 0.0) + size * np.eye(6))
         assert not is_covariance(1e-300 * np.eye(6) + 1e300 * np.eye(6, k=1))
+
+
+def test_covariances_of_fewer_directions_than_axes_are_taken(rng: np.random.Generator) -> None:
+    """As a solver tells them of a pose that a prior holds fast."""
+    for rank in range(1, 6):
+        half = rng.standard_normal((6, rank))
+        assert is_covariance(half @ half.T)
 
 
 @given(st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), min_size=1, max_size=20))

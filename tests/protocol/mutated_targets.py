@@ -1,6 +1,5 @@
 """What reads files and messages of others, each with a good input to be mutated; the law that all of them keep."""
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -11,25 +10,19 @@ from typing import Any
 import cv2
 import numpy as np
 
-from asterism.clients.json_lines import as_json
 from asterism.protocol.camera import parse_camera
-from asterism.protocol.codec import (
-    decode_beat,
-    decode_frame_report,
-    decode_odometry,
-    decode_rig,
-    decode_status,
-    encode_odometry,
-    encode_rig,
-    to_bytes,
-)
+from asterism.protocol.codec import decode_odometry, encode_rig, to_bytes
 from asterism.protocol.errors import InputError
 from asterism.protocol.led_offset import parse_offset
 from asterism.protocol.rig import parse_rig
 from asterism.server.calibration.survey.survey import read_survey
 from asterism.server.sources.images import UnreadableImage, read_pages, to_grey8
-from tests.protocol import make_golden
-from tests.protocol.mutations import mutated_bytes, mutated_yaml
+from tests.protocol import make_golden, mutated_clients
+from tests.protocol.bounds import TooMuch, bounded
+from tests.protocol.message_mutations import mutated_message
+from tests.protocol.mutations import mutated_yaml
+from tests.protocol.picture_mutations import mutated_bmp, mutated_jpeg, mutated_png, mutated_tiff
+from tests.recordings import mutated_recordings
 
 CAMERA = """\
 image_width: 640
@@ -53,6 +46,14 @@ robots:
     points: {tool: [0.0, 0.0, -0.03]}
     normal: {world: [0, 0, 1], within_deg: 40}
 """
+FISHEYE = CAMERA.replace("plumb_bob", "equidistant").replace("cols: 5", "cols: 4").replace(", 0.0]}\n", "]}\n")
+CORRECTED = (
+    RIG
+    + """\
+z_correction: {kind: plane, centre: [0.0, 0.0, 1.0], scale: [0.5, 0.4, 0.3], coefficients: [0.001, 0.0, 0.0, 0.0],
+  spread: [[1e-4, 0, 0, 0], [0, 1e-4, 0, 0], [0, 0, 1e-4, 0], [0, 0, 0, 1e-4]], region: 0.001, most: 0.01, misfit: 0.0}
+"""
+)
 OFFSET = "axial_shift: [0.0001, -0.0002, 0.0003]\nup_to_deg: 50\n"
 SURVEY = """\
 {"frame": "0.png", "robots": [{"id": "alpha", "position": [0.1, 0.2, 1.3], "orientation": [0, 0, 0, 1]}]}
@@ -62,27 +63,37 @@ SURVEY = """\
 
 @dataclass(frozen=True)
 class Target:
-    """``read`` takes what ``mutate`` makes of ``good``; ``in_tests`` of them are tried in the test suite."""
+    """``read`` takes what ``mutate`` makes of one of the ``good``; ``in_tests`` of them are tried in the test suite,
+    and of a million ``in_a_thousand`` of each thousand.
+    """
 
     read: Callable[[Any], object]
-    good: Any
+    good: tuple[Any, ...]
     mutate: Callable[[Any, np.random.Generator], Any]
     in_tests: int
+    in_a_thousand: int
 
     @property
     def is_bytes(self) -> bool:
-        return isinstance(self.good, bytes)
+        return isinstance(self.good[0], bytes)
+
+    def mutated(self, rng: np.random.Generator) -> Any:
+        """One that is wrong."""
+        return self.mutate(self.good[int(rng.integers(len(self.good)))], rng)
 
 
 def check(target: Target, mutated: Any) -> bool:
-    """The law: read, or refused with one printable line. Returns whether it was read."""
+    """The law: read, or refused with one printable line, within bounds. Returns whether it was read."""
     try:
-        target.read(mutated)
+        with bounded():
+            target.read(mutated)
     except (InputError, UnreadableImage) as refused:
         text = str(refused)
         assert 0 < len(text) < 2000, f"a sentence of {len(text)} characters"
-        assert "\n" not in text, text
+        assert text.isprintable(), text
         return False
+    except TooMuch as much:
+        raise AssertionError(str(much)) from None
     return True
 
 
@@ -97,11 +108,16 @@ def _in_a_file(read: Callable[[Path], object], suffix: str) -> Callable[[bytes |
 
 
 def _rig(text: str) -> object:
-    return encode_rig(parse_rig(text, CAMERA, "fuzz", {"led.yaml": OFFSET}))
+    rig = parse_rig(text, CAMERA, "fuzz", {"led.yaml": OFFSET})
+    assert all(np.isfinite(robot.leds).all() for robot in rig.robots)
+    return encode_rig(rig)
 
 
-def _report(payload: bytes) -> object:
-    return json.dumps(as_json("top", decode_frame_report(payload), frozenset()))
+def _camera(text: str) -> object:
+    camera = parse_camera(text, "fuzz")
+    assert np.isfinite(camera.matrix).all()
+    assert np.isfinite(camera.distortion).all()
+    return camera
 
 
 def _image(path: Path) -> object:
@@ -111,29 +127,50 @@ def _image(path: Path) -> object:
         if (width, height) != (64, 48):
             raise InputError(f"{width}x{height}, expected 64x48")
 
-    return [to_grey8(image, 12, name).shape for name, image in read_pages(path, check_size)]
+    shapes = {to_grey8(image, 12, name).shape for name, image in read_pages(path, check_size)}
+    assert shapes == {(48, 64)}
+    return shapes
+
+
+_PROGRESSIVE = (cv2.IMWRITE_JPEG_PROGRESSIVE, 1)
 
 
 @cache
-def _encoded(suffix: str, kind: str = "uint8") -> bytes:
+def _encoded(suffix: str, kind: str = "uint8", channels: int = 1, options: tuple[int, ...] = ()) -> bytes:
     rng = np.random.default_rng(3)
-    image = rng.integers(0, 200, (48, 64)).astype(kind)
-    ok, data = cv2.imencode(suffix, image)
+    image = rng.integers(0, 200, (48, 64, channels)).astype(kind)
+    ok, data = cv2.imencode(suffix, image, options)
     assert ok
     return bytes(data)
 
 
+def _stack() -> bytes:
+    pages = [np.full((48, 64), 10 * page, np.uint8) for page in range(3)]
+    ok, data = cv2.imencodemulti(".tiff", pages)
+    assert ok
+    return bytes(data)
+
+
+_PNGS = (_encoded(".png"), _encoded(".png", "uint16"), _encoded(".png", channels=3))
+_JPEGS = (_encoded(".jpg"), _encoded(".jpg", channels=3), _encoded(".jpg", options=_PROGRESSIVE))
+_TIFFS = (_encoded(".tiff", "uint16"), _encoded(".tiff", channels=3), _stack())
+_REPORTS = (to_bytes(make_golden.frame_report()),)
 TARGETS = {
-    "rig": Target(_rig, RIG, mutated_yaml, 600),
-    "camera": Target(lambda text: parse_camera(text, "fuzz"), CAMERA, mutated_yaml, 600),
-    "led_offset": Target(lambda text: parse_offset(text, "fuzz"), OFFSET, mutated_yaml, 800),
-    "survey": Target(_in_a_file(lambda path: read_survey(path, ["alpha"]), ".jsonl"), SURVEY, mutated_yaml, 2000),
-    "odometry": Target(decode_odometry, encode_odometry(make_golden.ROBOT_POSE), mutated_bytes, 6000),
-    "report": Target(_report, to_bytes(make_golden.frame_report()), mutated_bytes, 4000),
-    "status": Target(decode_status, to_bytes(make_golden.status()), mutated_bytes, 1000),
-    "beat": Target(decode_beat, to_bytes(make_golden.beat()), mutated_bytes, 1000),
-    "rig_report": Target(decode_rig, encode_rig(make_golden.RIG), mutated_bytes, 1000),
-    "png": Target(_in_a_file(_image, ".png"), _encoded(".png"), mutated_bytes, 1000),
-    "jpeg": Target(_in_a_file(_image, ".jpg"), _encoded(".jpg"), mutated_bytes, 1000),
-    "tiff": Target(_in_a_file(_image, ".tiff"), _encoded(".tiff", "uint16"), mutated_bytes, 1000),
+    "rig": Target(_rig, (RIG, CORRECTED), mutated_yaml, 400, 12),
+    "camera": Target(_camera, (CAMERA, FISHEYE), mutated_yaml, 400, 12),
+    "led_offset": Target(lambda text: parse_offset(text, "fuzz"), (OFFSET,), mutated_yaml, 400, 10),
+    "survey": Target(_in_a_file(lambda path: read_survey(path, ["alpha"]), ".jsonl"), (SURVEY,), mutated_yaml, 500, 6),
+    "odometry": Target(decode_odometry, mutated_clients.poses(), mutated_message, 4000, 190),
+    "pose": Target(mutated_clients.pose, mutated_clients.poses(), mutated_message, 5000, 220),
+    "report": Target(mutated_clients.report, _REPORTS, mutated_message, 2700, 140),
+    "status": Target(mutated_clients.status, (to_bytes(make_golden.status()),), mutated_message, 1000, 40),
+    "beat": Target(mutated_clients.beat, (to_bytes(make_golden.beat()),), mutated_message, 1000, 40),
+    "rig_report": Target(mutated_clients.rig_report, (to_bytes(make_golden.rig_report()),), mutated_message, 1000, 40),
+    "png": Target(_in_a_file(_image, ".png"), _PNGS, mutated_png, 900, 80),
+    "jpeg": Target(_in_a_file(_image, ".jpg"), _JPEGS, mutated_jpeg, 900, 70),
+    "tiff": Target(_in_a_file(_image, ".tiff"), _TIFFS, mutated_tiff, 900, 80),
+    "bmp": Target(_in_a_file(_image, ".bmp"), (_encoded(".bmp"),), mutated_bmp, 300, 10),
+    "review": Target(mutated_recordings.review, _REPORTS, mutated_message, 300, 10),
+    "mcap": Target(mutated_recordings.read, mutated_recordings.files(), mutated_recordings.mutated_file, 200, 20),
+    "recover": Target(mutated_recordings.recover, mutated_recordings.files(), mutated_recordings.mutated_file, 100, 20),
 }

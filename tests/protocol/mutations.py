@@ -62,9 +62,28 @@ STRANGE_LINES = (
 )
 
 
+_NUMBERS = (
+    "0",
+    "-0.0",
+    "-1",
+    "1",
+    "1e-300",
+    "1e300",
+    "1e-9",
+    "3",
+    "180",
+    "100000",
+    "2147483648",
+    "1e16",
+    "0.5",
+    "-1e9",
+)
+_NAMES = ("a/b", "*", '"a b"', '""', "alpha", "tool", "x", "é", '"\\x1b[2J"', "..", "0", "../../etc/passwd")
+
+
 def mutated_yaml(text: str, rng: np.random.Generator) -> str:
-    """The text with one to four things wrong."""
-    for _ in range(int(rng.integers(1, 5))):
+    """The text with one to three things wrong."""
+    for _ in range(int(rng.integers(1, 4))):
         text = _YAML_WAYS[int(rng.integers(len(_YAML_WAYS)))](text, rng)
     return text
 
@@ -76,12 +95,49 @@ def mutated_bytes(data: bytes, rng: np.random.Generator) -> bytes:
     return data
 
 
+_VALUE = re.compile(r"(?<=[:,\[\-] )[^\s,\[\]{}]+|(?<=\[)[^\s,\[\]{}]+")
+_NUMBER = re.compile(r"(?<=[\s\[,])-?\d[\d.e-]*")
+_KEY = re.compile(r"(?<![A-Za-z_\"])[A-Za-z_\"]++(?=:)")  # in one pass, also over words of 100 000 letters
+_LIST = re.compile(r"\[[^\[\]]*\]|\{[^{}]*\}")
+
+
 def _strange_value(text: str, rng: np.random.Generator) -> str:
-    places = list(re.finditer(r"(?<=[:,\[\-] )[^\s,\[\]{}]+", text))
+    return _replaced(_VALUE, text, STRANGE_VALUES[int(rng.integers(len(STRANGE_VALUES)))], rng)
+
+
+def _other_number(text: str, rng: np.random.Generator) -> str:
+    return _replaced(_NUMBER, text, _NUMBERS[int(rng.integers(len(_NUMBERS)))], rng)
+
+
+def _other_name(text: str, rng: np.random.Generator) -> str:
+    return _replaced((_KEY, _VALUE)[int(rng.integers(2))], text, _NAMES[int(rng.integers(len(_NAMES)))], rng)
+
+
+def _swapped(text: str, rng: np.random.Generator) -> str:
+    """Two values, keys or lists in each other's place."""
+    places = list((_VALUE, _KEY, _LIST)[int(rng.integers(3))].finditer(text))
+    if len(places) < 2:
+        return text
+    a, b = sorted(rng.choice(len(places), 2, replace=False).tolist())
+    one, other = places[a], places[b]
+    return text[: one.start()] + other.group() + text[one.end() : other.start()] + one.group() + text[other.end() :]
+
+
+def _value_gone(text: str, rng: np.random.Generator) -> str:
+    """One value of a list less, or one twice."""
+    places = list(re.finditer(r"(?<![^\s,\[\]{}])[^\s,\[\]{}]++, ", text))
     if not places:
         return text
     place = places[int(rng.integers(len(places)))]
-    return text[: place.start()] + str(rng.choice(STRANGE_VALUES)) + text[place.end() :]
+    return text[: place.start()] + place.group() * int(2 * rng.integers(2)) + text[place.end() :]
+
+
+def _replaced(what: re.Pattern[str], text: str, by: str, rng: np.random.Generator) -> str:
+    places = list(what.finditer(text))
+    if not places:
+        return text
+    place = places[int(rng.integers(len(places)))]
+    return text[: place.start()] + by + text[place.end() :]
 
 
 def _strange_line(text: str, rng: np.random.Generator) -> str:
@@ -113,7 +169,10 @@ def _cut(text: str, rng: np.random.Generator) -> str:
     return text[: int(rng.integers(len(text) + 1))]
 
 
-_YAML_WAYS = (_strange_value, _strange_value, _strange_line, _without_a_line, _line_twice, _other_character, _cut)
+_YAML_WAYS = (
+    _strange_value, _strange_value, _other_number, _other_number, _other_number, _other_name, _swapped, _swapped,
+    _value_gone, _strange_line, _without_a_line, _line_twice, _other_character, _cut,
+)  # fmt: skip
 
 
 def _flip(data: bytes, rng: np.random.Generator) -> bytes:

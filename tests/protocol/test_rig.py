@@ -182,6 +182,8 @@ def test_large_and_small_rigs_that_are_right_are_read(folder: Path, old: str, ne
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
+        ("[0.0, 0.0, 1.3]", "[0.0, 0.0, 1e300]", "1e+300 (beyond 1e+30) is among the values, expected 3 numbers"),
+        ("[0.8, 2.0]", "[" * 101 + "]" * 101, "is nested too deeply, expected a YAML mapping of a few levels"),
         ("camera:", "intrinsics:", "unknown key 'intrinsics'; did you mean 'camera'? Accepted: camera, range"),
         ("camera:", "calibration:", "did you mean 'camera'?"),
         ("world:", "extrinsics:", "unknown key 'extrinsics'; did you mean 'world'?"),

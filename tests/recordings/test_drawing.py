@@ -252,3 +252,12 @@ def test_a_robot_that_joined_by_a_reload_is_drawn_and_one_that_left_is_not(tmp_p
     }
     assert placed == {"alpha": [1, 2], "bravo": [1, 2, 3, 4], "echo": [3, 4], "zulu": [3, 4]}
     assert any("clear" in name.lower() for name in entities["/world/robots/alpha"])
+
+
+def test_a_robot_that_another_rig_has_is_left_out(rig: Rig, tmp_path: Path) -> None:
+    """A recording goes on when the server's rig is read again, with whoever is in it then."""
+    report = told(rig, 0, everywhere(rig))
+    before = drawn(rig, [report], tmp_path / "before.rrd")
+    report.robots.add().CopyFrom(report.robots[0])
+    report.robots[-1].id = "zulu"
+    assert drawn(rig, [report], tmp_path / "after.rrd").keys() == before.keys()

@@ -4,12 +4,13 @@ Four frames of 32 x 24 pixels, two robots at known places, one status. They are 
 """
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from asterism.protocol.codec import decode_frame_report, decode_odometry, decode_status
+from asterism.protocol.codec import decode_frame_report, decode_odometry, decode_status, to_bytes
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, PROTOCOL, STATUS
 from asterism.recordings.compare import compare
@@ -18,7 +19,7 @@ from asterism.recordings.packing import PLAIN
 from asterism.recordings.reader import Recording
 from asterism.recordings.series import Series
 from tests.helpers import REPOSITORY
-from tests.recordings.mutations import hand_made, metadata
+from tests.recordings.mutations import hand_made, metadata, write_file
 
 KEPT = REPOSITORY / "tests" / "data" / "recordings"
 VERSIONS = sorted(int(folder.name) for folder in KEPT.iterdir())
@@ -77,3 +78,17 @@ def test_a_newer_recording_is_refused_in_a_sentence(tmp_path: Path, told: str) -
     series.close({})
     with pytest.raises(InputError, match=rf"holds messages of protocol {told}, this program reads those up to 2; "):
         Recording(tmp_path)
+
+
+def test_a_report_that_no_server_makes_is_refused(tmp_path: Path) -> None:
+    told, _ = hand_made(2, np.random.default_rng(5))
+    for number, message in enumerate(told):
+        if message.kind == FRAME_REPORT:
+            report = decode_frame_report(message.payload)
+            report.robots[1].pose.orientation.w = 0.0
+            told[number] = replace(message, payload=to_bytes(report))
+    write_file(tmp_path, "poses", told, "", 3)
+    with pytest.raises(
+        InputError, match=r"its report of frame 0 is none that a server makes; run this first: .*recover"
+    ):
+        compare(Recording(tmp_path), Recording(tmp_path))

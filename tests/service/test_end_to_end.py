@@ -3,6 +3,7 @@
 import json
 import signal
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -41,8 +42,30 @@ def served(film: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[d
     return received, next(folder.glob("demo-*"))
 
 
+@pytest.fixture(scope="module")
+def located(film: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[dict[str, Any]], str]:
+    """The lines that `locate` wrote of the film, and what it said."""
+    out = tmp_path_factory.mktemp("located") / "poses.jsonl"
+    done = asterism("locate", film / "rig.yaml", film / "frames", "-o", out)
+    assert done.returncode == 0, done.stderr
+    return lines_of(out), done.stderr
+
+
+@pytest.fixture(scope="module")
+def serving(film: Path) -> Iterator[str]:
+    """Where the simulated camera is served."""
+    endpoint = free_endpoint()
+    with running("serve", film / "rig.yaml", "sim", "--listen", endpoint) as server:
+        wait_for_line(server, "serving 5 robots")
+        yield endpoint
+
+
+def lines_of(file: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in file.read_text().splitlines()]
+
+
 def truth_of(film: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in (film / "truth.jsonl").read_text().splitlines()]
+    return lines_of(film / "truth.jsonl")
 
 
 def test_every_message_arrives_in_order_with_the_right_pose(
@@ -87,7 +110,7 @@ def test_the_recorded_frames_solved_again_give_the_same_poses(
     _, folder = served
     done = asterism("locate", film / "rig.yaml", folder, "-o", tmp_path / "again.jsonl")
     assert done.returncode == 0, done.stderr
-    lines = [json.loads(line) for line in (tmp_path / "again.jsonl").read_text().splitlines()]
+    lines = lines_of(tmp_path / "again.jsonl")
     assert len(lines) == FRAMES
     told = {(entry["robot"], int(entry["metadata"]["sequence"])): entry for entry in served[0] if "robot" in entry}
     for sequence, line in enumerate(lines):
@@ -95,13 +118,12 @@ def test_the_recorded_frames_solved_again_give_the_same_poses(
             np.testing.assert_array_equal(robot["position"], told[robot["id"], sequence]["position"])
 
 
-def test_smoothed_poses_are_another_thing_and_say_so(film: Path, tmp_path: Path) -> None:
-    told = []
-    for options in ((), ("--smooth",)):
-        out = tmp_path / f"poses{len(told)}.jsonl"
-        assert asterism("locate", film / "rig.yaml", film / "frames", "-o", out, *options).returncode == 0
-        told.append([json.loads(line) for line in out.read_text().splitlines()])
-    for plain, smoothed in zip(*told, strict=True):
+def test_smoothed_poses_are_another_thing_and_say_so(
+    film: Path, located: tuple[list[dict[str, Any]], str], tmp_path: Path
+) -> None:
+    out = tmp_path / "smoothed.jsonl"
+    assert asterism("locate", film / "rig.yaml", film / "frames", "-o", out, "--smooth").returncode == 0
+    for plain, smoothed in zip(located[0], lines_of(out), strict=True):
         assert plain["lost"] == smoothed["lost"]
         for before, after in zip(plain["robots"], smoothed["robots"], strict=True):
             assert "smoothed" not in before
@@ -109,7 +131,7 @@ def test_smoothed_poses_are_another_thing_and_say_so(film: Path, tmp_path: Path)
             assert before["rms_px"] == after["rms_px"]
             away = np.linalg.norm(np.subtract(before["position"], after["position"]))
             assert away < 2e-3
-            assert away > 0 or plain["exposed_ns"] == told[0][0]["exposed_ns"]
+            assert away > 0 or plain["exposed_ns"] == located[0][0]["exposed_ns"]
 
 
 def test_a_server_that_smooths_says_so_on_the_wire(film: Path, tmp_path: Path) -> None:
@@ -127,7 +149,7 @@ def test_a_server_that_smooths_says_so_on_the_wire(film: Path, tmp_path: Path) -
 def test_locate_writes_what_the_design_says(film: Path, tmp_path: Path) -> None:
     done = asterism("locate", film / "rig.yaml", film / "frames", "-o", tmp_path / "poses.jsonl", "--independent")
     assert done.returncode == 0, done.stderr
-    lines = [json.loads(line) for line in (tmp_path / "poses.jsonl").read_text().splitlines()]
+    lines = lines_of(tmp_path / "poses.jsonl")
     assert [line["frame"] for line in lines] == [f"{k:05d}.png" for k in range(FRAMES)]
     assert [line["exposed_ns"] for line in lines] == [round(k * 1e9 / 60) for k in range(FRAMES)]
     robot = lines[0]["robots"][0]
@@ -136,10 +158,10 @@ def test_locate_writes_what_the_design_says(film: Path, tmp_path: Path) -> None:
     assert robot["orientation"][3] >= 0
 
 
-def test_locate_says_who_was_found_and_on_a_pipe_nothing_before_the_end(film: Path, tmp_path: Path) -> None:
-    done = asterism("locate", film / "rig.yaml", film / "frames", "-o", tmp_path / "poses.jsonl")
-    assert done.returncode == 0, done.stderr
-    lines = done.stderr.splitlines()
+def test_locate_says_who_was_found_and_on_a_pipe_nothing_before_the_end(
+    film: Path, located: tuple[list[dict[str, Any]], str], tmp_path: Path
+) -> None:
+    lines = located[1].splitlines()
     assert lines[0] == f"asterism: {FRAMES} frames"
     assert lines[1] == f"asterism: alpha    {FRAMES} TRACKED"
     assert len(lines) == 6
@@ -170,7 +192,9 @@ def test_locate_stopped_by_ctrl_c_says_what_it_left_and_is_not_in_its_own_way(fi
     assert all(json.loads(line)["robots"] for line in lines)
     assert f"asterism: {len(lines)} frames of 3000" in told
     assert f"asterism: interrupted; what was done so far is in {part}" in told
-    assert asterism("locate", film / "rig.yaml", film / "frames", "-o", out).returncode == 0
+    for file in list(many.iterdir())[3:]:
+        file.unlink()
+    assert asterism("locate", film / "rig.yaml", many, "-o", out).returncode == 0
 
 
 def test_serve_stopped_by_ctrl_c_says_what_it_left(film: Path, tmp_path: Path) -> None:
@@ -257,20 +281,14 @@ def test_killed_in_the_middle_a_recording_loses_little_and_recovers(film: Path, 
     assert asterism("recover", folder).stdout.count("whole") == 2
 
 
-def test_as_live_is_refused_while_the_server_is_alive(film: Path, served: tuple[list[dict[str, Any]], Path]) -> None:
-    endpoint = free_endpoint()
-    with running("serve", film / "rig.yaml", "sim", "--listen", endpoint) as server:
-        wait_for_line(server, "serving 5 robots")
-        refused = asterism("replay", served[1], "--as-live", "--connect", endpoint)
+def test_as_live_is_refused_while_the_server_is_alive(serving: str, served: tuple[list[dict[str, Any]], Path]) -> None:
+    refused = asterism("replay", served[1], "--as-live", "--connect", serving)
     assert refused.returncode == 2
     assert "camera 'demo' is being served already, by process" in refused.stderr
 
 
-def test_an_endpoint_in_use_is_refused(film: Path) -> None:
-    endpoint = free_endpoint()
-    with running("serve", film / "rig.yaml", "sim", "--listen", endpoint) as server:
-        wait_for_line(server, "serving 5 robots")
-        refused = asterism("serve", film / "rig.yaml", "sim", "--listen", endpoint)
+def test_an_endpoint_in_use_is_refused(film: Path, serving: str) -> None:
+    refused = asterism("serve", film / "rig.yaml", "sim", "--listen", serving)
     assert refused.returncode == 2
     assert "the endpoint is already in use" in refused.stderr
     assert "--connect" in refused.stderr
@@ -301,7 +319,7 @@ def test_review_writes_a_rerun_recording(served: tuple[list[dict[str, Any]], Pat
 
 
 def test_the_demo_runs_and_says_where_to_look(tmp_path: Path) -> None:
-    done = asterism("demo", "--seconds", "3", "--record", tmp_path / "rec", "--listen", free_endpoint())
+    done = asterism("demo", "--seconds", "2", "--record", tmp_path / "rec", "--listen", free_endpoint())
     assert done.returncode == 0, done.stderr
     for words in ("asterism watch", "asterism replay", "asterism review", "watch --prefix replay/", "TRACKED", "alpha"):
         assert words in done.stdout
@@ -315,7 +333,7 @@ def test_the_films_robot_goes_lost_at_once_and_is_back_at_once(tmp_path: Path) -
     out = tmp_path / "film.jsonl"
     done = asterism("locate", folder / "rig.yaml", folder / "frames", "-o", out)
     assert done.returncode == 0, done.stderr
-    for line, frame in zip(out.read_text().splitlines(), truth, strict=True):
-        located = {robot["id"] for robot in json.loads(line)["robots"]}
+    for line, frame in zip(lines_of(out), truth, strict=True):
+        found = {robot["id"] for robot in line["robots"]}
         for robot in frame["robots"]:
-            assert (robot["id"] in located) == (robot["visible"] >= 4), (frame["frame"], robot["id"])
+            assert (robot["id"] in found) == (robot["visible"] >= 4), (frame["frame"], robot["id"])

@@ -12,6 +12,7 @@ from asterism.protocol.camera import Camera, load_camera
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose, exp_rotation
 from asterism.protocol.yaml_file import read_yaml
+from asterism.server.__main__ import main
 from asterism.server.calibration.lens.board_points import Seen, find_points
 from asterism.server.calibration.lens.bundle import View, dot_shift
 from asterism.server.calibration.lens.calibration import calibrate_camera, implausible, refuse_too_few
@@ -25,7 +26,6 @@ from asterism.server.service.telling import telling
 from asterism.server.sources.images import read_pages, to_grey8
 from tests.calibration.lens.boards import FISHEYE, Lens, chessboard, discs, poses, render
 from tests.helpers import conic_centres, shared
-from tests.servers import asterism
 
 LENS = Lens()
 TRUE = Camera(
@@ -292,16 +292,16 @@ def test_the_written_file_is_the_lens(tmp_path: Path, rng: np.random.Generator) 
     assert ends_inside(Camera("cam", 640, 480, TRUE.matrix, "plumb_bob", np.array([-2.0, 0.0, 0.0, 0.0, 0.0])))
 
 
-def test_a_film_by_hand_calibrates_the_simulated_camera(tmp_path: Path) -> None:
+def test_a_film_by_hand_calibrates_the_simulated_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from asterism.server.simulation.demo_rig import DEMO_RIG
 
     leds = "".join(f"  - {list(led)}\n" for led in _leds(DEMO_RIG))
     (tmp_path / "board.yaml").write_text("leds:\n" + leds)
-    assert asterism("simulate", DEMO_RIG, tmp_path / "film", "--hand", "alpha", "--frames", "30").returncode == 0
+    assert main(["simulate", str(DEMO_RIG), str(tmp_path / "film"), "--hand", "alpha", "--frames", "30"]) == 0
     out = tmp_path / "cam.yaml"
-    arguments = ("calibrate", "camera", tmp_path / "film" / "frames", "--target", f"leds:{tmp_path / 'board.yaml'}")
-    done = asterism(*arguments, "-o", out)
-    assert done.returncode == 0, done.stderr
+    target = f"leds:{tmp_path / 'board.yaml'}"
+    arguments = ["calibrate", "camera", str(tmp_path / "film" / "frames"), "--target", target, "-o", str(out)]
+    assert main(arguments) == 0
     true, found = load_camera(DEMO_RIG.parent / "camera.yaml"), load_camera(out)
     report = read_yaml(tmp_path / "cam.report.yaml").section("sigmas")
     for index, name in enumerate(("fx", "fy", "cx", "cy")):
@@ -311,9 +311,9 @@ def test_a_film_by_hand_calibrates_the_simulated_camera(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.glob("cam.*")} == {
         "cam.yaml", "cam.report.yaml", "cam.coverage.png", "cam.residuals.png",
     }  # fmt: skip
-    refused = asterism(*arguments, "-o", out)
-    assert refused.returncode == 2
-    assert "exists; choose another name, or --force" in refused.stderr
+    capsys.readouterr()
+    assert main(arguments) == 2
+    assert "exists; choose another name, or --force" in capsys.readouterr().err
 
 
 def _leds(rig: Path) -> list[list[float]]:
