@@ -10,12 +10,9 @@ from typing import TypeVar
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
-from foxglove_schemas_protobuf.CircleAnnotation_pb2 import CircleAnnotation
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
-from foxglove_schemas_protobuf.TextAnnotation_pb2 import TextAnnotation
 from google.protobuf.message import DecodeError
 from google.protobuf.message import Message as Protobuf
 from google.protobuf.timestamp_pb2 import Timestamp
@@ -45,7 +42,8 @@ def to_bytes(message: Protobuf) -> bytes:
     return message.SerializeToString(deterministic=True)
 
 
-def _timestamp(time_ns: int) -> Timestamp:
+def timestamp(time_ns: int) -> Timestamp:
+    """Of ns since the Unix epoch."""
     return Timestamp(seconds=time_ns // SECOND_NS, nanos=time_ns % SECOND_NS)
 
 
@@ -72,7 +70,7 @@ def set_vector(target: "pb.Vector3", vector: Floats) -> None:
 
 def encode_odometry(told: RobotPose) -> bytes:
     """foxglove.Odometry."""
-    message = Odometry(timestamp=_timestamp(told.exposed_ns), frame_id=told.frame_id, body_frame_id=told.robot)
+    message = Odometry(timestamp=timestamp(told.exposed_ns), frame_id=told.frame_id, body_frame_id=told.robot)
     _set_pose(message.pose, told.pose)  # type: ignore[arg-type]
     message.pose_covariance.extend(told.covariance.ravel().tolist())
     for key, value in (
@@ -272,7 +270,7 @@ def decode_rig(payload: bytes) -> "pb.RigReport":
 
 def encode_transforms(time_ns: int, transforms: list[tuple[str, str, Pose]]) -> bytes:
     """foxglove.FrameTransforms of (parent frame, child frame, T_parent_child)."""
-    message, stamp = FrameTransforms(), _timestamp(time_ns)
+    message, stamp = FrameTransforms(), timestamp(time_ns)
     for parent, child, pose in transforms:
         entry = message.transforms.add(timestamp=stamp, parent_frame_id=parent, child_frame_id=child)
         entry.translation.x, entry.translation.y, entry.translation.z = pose.position.tolist()
@@ -286,7 +284,7 @@ def encode_calibration(time_ns: int, camera: Camera) -> bytes:
     """foxglove.CameraCalibration; the projection matrix is K, images are as the camera gives them."""
     k = camera.matrix
     message = CameraCalibration(
-        timestamp=_timestamp(time_ns),
+        timestamp=timestamp(time_ns),
         frame_id=camera.name,
         width=camera.width,
         height=camera.height,
@@ -311,13 +309,13 @@ def image_parts(time_ns: int, camera: Camera, image: NDArray[np.uint8]) -> tuple
     """
     height, width = image.shape
     message = RawImage(
-        timestamp=_timestamp(time_ns), frame_id=camera.name, width=width, height=height, encoding="mono8", step=width
+        timestamp=timestamp(time_ns), frame_id=camera.name, width=width, height=height, encoding="mono8", step=width
     )
     pixels = memoryview(np.ascontiguousarray(image).reshape(-1))  # type: ignore[arg-type]
-    return to_bytes(message) + _DATA_TAG + _varint(len(pixels)), pixels
+    return to_bytes(message) + _DATA_TAG + varint(len(pixels)), pixels
 
 
-def _varint(number: int) -> bytes:
+def varint(number: int) -> bytes:
     """Protobuf's variable-length number."""
     coded = bytearray()
     while number > 0x7F:
@@ -335,51 +333,3 @@ def decode_image(payload: bytes) -> NDArray[np.uint8]:
         raise InputError(f"image message: {len(message.data)} bytes, expected {message.step} x {message.height}")
     rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)
     return np.ascontiguousarray(rows[:, : message.width])
-
-
-def encode_annotations(time_ns: int, report: "pb.FrameReport") -> bytes:
-    """foxglove.ImageAnnotations of a report's spots: a circle for each, green for LEDs, red for the rejected, and
-    the robot's id beside its first LED.
-    """
-    message, stamp = ImageAnnotations(), _timestamp(time_ns)
-    circles = {fate: _circle(stamp, colour) for fate, colour in _FATE_COLOURS.items()}
-    other, label = _circle(stamp, (1.0, 0.2, 0.2, 0.7)), _label(stamp)
-    spots = report.spots
-    named: set[int] = set()
-    for x, y, radius, fate, robot, led in zip(
-        spots.x, spots.y, spots.radius, spots.fate, spots.robot, spots.led, strict=True
-    ):
-        # Copies of what is the same for all: a third of the time of setting every field.
-        circle = message.circles.add()
-        circle.CopyFrom(circles.get(fate, other))
-        circle.diameter = 2 * radius + 6
-        position = circle.position
-        position.x, position.y = x, y
-        if robot >= 0:
-            text = message.texts.add()
-            text.CopyFrom(label)
-            text.text = f"{report.robots[robot].id} {led}" if robot not in named else str(led)
-            named.add(robot)
-            position = text.position
-            position.x, position.y = x + radius + 5, y
-    return to_bytes(message)
-
-
-_FATE_COLOURS = {pb.LED: (0.2, 1.0, 0.3, 1.0), pb.UNEXPLAINED: (1.0, 0.8, 0.1, 1.0)}
-
-
-def _circle(stamp: Timestamp, colour: tuple[float, float, float, float]) -> CircleAnnotation:
-    circle = CircleAnnotation(timestamp=stamp, thickness=1.0)
-    line = circle.outline_color
-    line.r, line.g, line.b, line.a = colour
-    circle.fill_color.SetInParent()
-    circle.position.SetInParent()
-    return circle
-
-
-def _label(stamp: Timestamp) -> TextAnnotation:
-    label = TextAnnotation(timestamp=stamp, font_size=14.0)
-    colour = label.text_color
-    colour.r, colour.g, colour.b, colour.a = 0.2, 1.0, 0.3, 1.0
-    label.background_color.SetInParent()
-    return label

@@ -30,7 +30,7 @@ from asterism.recordings.held import Hold, hold
 from asterism.recordings.packing import PLAIN, ZSTD, ZSTD_AND_CRC
 from asterism.recordings.room import Room
 from asterism.recordings.series import Series
-from asterism.recordings.spots import Spot, SpotWindows
+from asterism.recordings.spots import Spots, SpotWindows
 from asterism.recordings.told import OFFSET_KEY
 from asterism.recordings.viewers import Viewers, first_messages
 
@@ -217,7 +217,7 @@ class Recorder:
     def _image(self, item: _Item, image: NDArray[np.uint8], report: "pb.FrameReport | None") -> None:
         if self._windows is not None:
             told = pb.Spots() if report is None else report.spots
-            image = self._windows.keep(image, map(Spot, told.x, told.y, told.radius, told.fate))
+            image = self._windows.keep(image, Spots(*map(np.array, (told.x, told.y, told.radius, told.fate))))
         parts = image_parts(item.time_ns, self._rig.camera, image)
         times = (item.time_ns, item.time_ns)
         message = Message(keys.image(self._rig.camera.name), IMAGE, b"", *times, item.sequence)

@@ -4,7 +4,8 @@ import numpy as np
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
-from asterism.protocol.codec import encode_annotations, encode_calibration, encode_transforms, report_pose
+from asterism.protocol.annotations import encode_annotations
+from asterism.protocol.codec import encode_calibration, encode_transforms, report_pose
 from asterism.protocol.geometry import Pose
 from asterism.protocol.messages import ANNOTATIONS, CALIBRATION, TRANSFORMS, Message
 from asterism.protocol.rig import Rig

@@ -1,5 +1,7 @@
 """FrameResult -> messages: the one conversion. What is published is what is recorded is what is reviewed."""
 
+from collections.abc import Iterator
+
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
 from asterism.protocol.codec import encode_odometry, set_report_pose, set_vector, to_bytes
@@ -10,13 +12,13 @@ from asterism.server.chain.smooth import SmoothedPose
 from asterism.server.pose.solve import PoseEstimate
 
 
-def report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int) -> list[Message]:
-    """The messages of one frame: odometry of every located robot, then the frame report.
+def report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int) -> Iterator[Message]:
+    """The messages of one frame: odometry of every located robot, then the frame report; each is encoded when it is
+    asked for, so that no pose waits for what comes behind it.
 
     ``solved_ns`` is when the poses were known, ns since the Unix epoch. They are stamped when they go out
     (`codec.stamped`).
     """
-    messages = []
     for robot_id, answer in result.answers.items():
         if isinstance(answer, PoseEstimate):
             told = RobotPose(
@@ -36,11 +38,10 @@ def report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int) -> list[
                 velocity=answer.velocity if isinstance(answer, SmoothedPose) else None,
             )
             key = keys.odometry(rig.camera.name, robot_id)
-            messages.append(Message(key, ODOMETRY, encode_odometry(told), result.exposed_ns, 0, result.index))
+            yield Message(key, ODOMETRY, encode_odometry(told), result.exposed_ns, 0, result.index)
     payload = to_bytes(frame_report(frame, result, rig, solved_ns))
     key = keys.frame(rig.camera.name)
-    messages.append(Message(key, FRAME_REPORT, payload, result.exposed_ns, 0, result.index))
-    return messages
+    yield Message(key, FRAME_REPORT, payload, result.exposed_ns, 0, result.index)
 
 
 def frame_report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int) -> "pb.FrameReport":

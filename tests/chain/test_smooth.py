@@ -138,7 +138,7 @@ def test_only_what_was_asked_to_be_smoothed_is_changed_and_it_is_labelled(
         assert [message.payload for message in report(frame, result, RIG, 2)] == before
         assert all("smoothed" not in robot for robot in line(frame, result)["robots"])
         assert b"smoothed" not in before[0]
-        messages, entries = report(frame, told, RIG, 2), frame_report(frame, told, RIG, 2).robots
+        messages, entries = list(report(frame, told, RIG, 2)), frame_report(frame, told, RIG, 2).robots
         for robot in line(frame, told)["robots"]:
             assert robot["smoothed"] is True
             assert robot["filter"] == FILTER

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
@@ -12,13 +13,13 @@ from google.protobuf.json_format import Parse
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
+from asterism.protocol.annotations import encode_annotations
 from asterism.protocol.codec import (
     decode_frame_report,
     decode_image,
     decode_odometry,
     decode_rig,
     decode_status,
-    encode_annotations,
     encode_image,
     encode_odometry,
     in_session,
@@ -124,8 +125,6 @@ def test_image_round_trip_and_refusals(rng: np.random.Generator) -> None:
 
 
 def test_annotations_draw_every_spot_and_name_each_robot_once() -> None:
-    from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
-
     drawn = ImageAnnotations()
     drawn.ParseFromString(encode_annotations(7, make_golden.frame_report()))
     assert len(drawn.circles) == 3
@@ -167,3 +166,24 @@ def test_keys_and_their_robots() -> None:
         assert keys.key_problem(name), name
     for name in ("alpha", "robot 7", "röb-1.2_x"):
         assert keys.key_problem(name) is None, name
+
+
+@pytest.mark.parametrize("count", [0, 1, 60])
+@pytest.mark.parametrize("time_ns", [0, 7, 1_795_398_896_000_000_007])
+def test_annotations_are_encoded_as_protobuf_does(count: int, time_ns: int, rng: np.random.Generator) -> None:
+    report = pb.FrameReport()
+    for robot in ("alpha", "b" * 140, "\u00fc"):
+        report.robots.add(id=robot)
+    report.spots.x.extend(rng.uniform(0.0, 1280.0, count))
+    report.spots.y.extend(rng.uniform(0.0, 1024.0, count))
+    report.spots.radius.extend(rng.uniform(0.5, 40.0, count))
+    report.spots.fate.extend(rng.integers(1, 10, count))
+    report.spots.robot.extend(rng.integers(-1, 3, count))
+    report.spots.led.extend(rng.integers(0, 6, count))
+    told = encode_annotations(time_ns, report)
+    drawn = ImageAnnotations.FromString(told)
+    assert len(drawn.circles) == count
+    assert [text.position.y for text in drawn.texts] == [
+        y for y, robot in zip(report.spots.y, report.spots.robot, strict=True) if robot >= 0
+    ]
+    assert drawn.SerializeToString(deterministic=True) == told

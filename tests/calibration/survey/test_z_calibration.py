@@ -165,7 +165,7 @@ def test_poses_are_corrected_along_the_cameras_z_and_flagged(true: Rig, rng: np.
             np.testing.assert_allclose(grown, told.variances[0] * np.outer(along, along), atol=1e-15)
             assert after.extrapolated is not inside
             assert ("extrapolated" in line(frame, result)["robots"][0]) is not inside
-            messages = report(frame, result, rig, 1)
+            messages = list(report(frame, result, rig, 1))
             odometry = next(m for m in messages if m.kind is ODOMETRY)
             assert decode_odometry(odometry.payload).extrapolated is not inside
 
