@@ -130,6 +130,9 @@ def beat(payload: bytes) -> None:
     server.beats(told, now_ns)
     assert not math.isnan(server.age(make_golden.SESSION).age_s(now_ns, make_golden.EXPOSED_NS))
     assert server.link(now_ns).sentence
+    table = RobotTable()
+    table._beat(_sample(payload, "asterism/cam/beat"))
+    _shown(table, 80)
 
 
 def rig_report(payload: bytes) -> None:
@@ -140,5 +143,5 @@ def rig_report(payload: bytes) -> None:
     assert server.link(now_ns).sentence
     assert server.newer
     table = RobotTable(["alfa"])
-    table._rig(_sample(payload, "asterism/cam/rig"))
+    table.servers["cam"].answers(told, now_ns - 1_000_000, now_ns)
     _shown(table, 80)

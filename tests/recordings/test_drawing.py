@@ -55,9 +55,18 @@ def told(rig: Rig, sequence: int, poses: dict[str, Pose]) -> "pb.FrameReport":
             entry.spot.append(len(report.spots.x))
             entry.residual_x.append(0.01)
             entry.residual_y.append(0.0)
-            for column, value in (("x", x + 0.01), ("y", y), ("radius", 2.0), ("fate", pb.LED), ("robot", index)):
+            spot = {
+                "x": x + 0.01,
+                "y": y,
+                "radius": 2.0,
+                "fate": pb.LED,
+                "robot": index,
+                "led": led,
+                "brightness": 200.0,
+            }
+            noise = {"covariance_xx": 1e-4, "covariance_xy": 0.0, "covariance_yy": 1e-4}
+            for column, value in (spot | noise).items():
                 getattr(report.spots, column).append(value)
-            report.spots.led.append(led)
     return report
 
 
