@@ -38,7 +38,7 @@ NEAR_PX = 30.0  # from edge to edge, up to which one may lean on the other
 REFRESH = 600  # frames
 CHANGED, CHANGED_MUCH = 0.6, 4.0  # grey levels of the mean, from which on the light has changed; so much at once
 LEAST_AGE = 60  # frames, unless it has changed much: lamps flicker
-FEW_TILES = 36  # of which the pixels are kept: a third of the time that dots take, and they are few
+FEW_TILES = 0.45  # of all, of which the pixels themselves are kept: a third of the time that dots take
 UNEVEN = 1.0  # grey levels, from which on a tile's level is another
 
 
@@ -68,17 +68,14 @@ class SpotWindows:
         mean = float(image[min(TILE_PX, image.shape[0]) // 2 :: TILE_PX, :: STEP_PX * STEP_PX].mean())
         self._age += 1
         change = abs(mean - self._mean)
-        tiles, out = self._tiles, self._out
-        tiles.begin()
         if self._age > REFRESH or change > CHANGED_MUCH or (change > CHANGED and self._age > LEAST_AGE):
             self._age, self._mean = 0, mean
             self._draw(image)
+        out, windows = self._out, _windows(spots, *image.shape)
         out[:] = self._plain
-        for window in _windows(spots, *image.shape):
-            y0, y1, x0, x1 = window
+        for y0, y1, x0, x1 in windows:
             out[y0:y1, x0:x1] = image[y0:y1, x0:x1]
-            tiles.keep(window)
-        self._tell_tiles(image, spots)
+        self._tell_tiles(image, spots, windows)
         return out
 
     def _draw(self, image: Image) -> None:
@@ -91,14 +88,16 @@ class SpotWindows:
         plain[:] = np.repeat(np.repeat(levels, np.diff(tiles.ys), axis=0), np.diff(tiles.xs), axis=1)
         if not _is_compressed(image):
             plain[::COMPRESSED_ROWS, ::2] += plain[::COMPRESSED_ROWS, ::2] < 255
+        tiles.mark(())
         tiles.dot(plain, tiles.all, told)
 
-    def _tell_tiles(self, image: Image, spots: Spots) -> None:
+    def _tell_tiles(self, image: Image, spots: Spots, windows: list[Window]) -> None:
         """Tell the background of the tiles about the spots."""
         chosen = self._tiles.choose(spots.x, spots.y)
-        if len(chosen.tiles) <= FEW_TILES:
+        if len(chosen.tiles) <= FEW_TILES * len(self._level):
             self._tiles.copy(image, self._out, chosen)
             return
+        self._tiles.mark(windows)
         told = self._tiles.measure(image, chosen)
         if np.abs(self._level[chosen.tiles] - told.level).max(initial=0.0) > UNEVEN:
             self._level[chosen.tiles] = told.level

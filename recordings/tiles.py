@@ -6,6 +6,7 @@ pack to a tenth of the pixels themselves.
 """
 
 import itertools
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -98,14 +99,11 @@ class Tiles:
         self._rows_above = np.searchsorted(rows.reshape(-1), np.arange(height + 1)).tolist()
         self._kept = np.zeros((rows.size, width), np.bool_)  # pairs of the rows that are looked at, by their first
 
-    def begin(self) -> None:
-        """Nothing is kept yet."""
+    def mark(self, windows: Iterable[Window]) -> None:
+        """Pairs of which a pixel lies in one of these, inside the image, are kept as they are by `dot`."""
         self._kept[:] = False
-
-    def keep(self, window: Window) -> None:
-        """Pairs of which a pixel lies in a window, inside the image, stay as they are."""
-        y0, y1, x0, x1 = window
-        self._kept[self._rows_above[y0] : self._rows_above[y1], max(x0 - 1, 0) : x1] = True
+        for y0, y1, x0, x1 in windows:
+            self._kept[self._rows_above[y0] : self._rows_above[y1], max(x0 - 1, 0) : x1] = True
 
     def choose(self, x: Floats, y: Floats) -> Chosen:
         """The tiles between whose middles points (n,) px lie."""
