@@ -89,15 +89,22 @@ def kept(cache: Path) -> set[str]:
 NAMES = {name.split(".", 1)[1] for name in SMALL}
 
 
-def test_both_cores_work_and_the_next_start_is_silent(tmp_path: Path) -> None:
-    workers, said = ended(start(tmp_path))
+@pytest.fixture(scope="module")
+def first_start(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[int], str]:
+    """The cache that a first start left, the processes that it started, and what it said."""
+    cache = tmp_path_factory.mktemp("first")
+    return cache, *ended(start(cache))
+
+
+def test_both_cores_work_and_the_next_start_is_silent(first_start: tuple[Path, list[int], str]) -> None:
+    cache, workers, said = first_start
     assert len(workers) == 2
-    assert kept(tmp_path) == NAMES
+    assert kept(cache) == NAMES
     lines = said.splitlines()
     assert len(lines) == 2
     assert lines[0].startswith("asterism: compiling 4 kernels for this machine, only the first time")
     assert lines[1].startswith("asterism: compiled 4 kernels in ")
-    assert ended(start(tmp_path)) == ([], "")
+    assert ended(start(cache)) == ([], "")
 
 
 def test_a_process_that_dies_does_not_break_the_start(tmp_path: Path) -> None:
@@ -136,8 +143,10 @@ def test_no_process_is_left_behind(tmp_path: Path, how: signal.Signals) -> None:
     os.close(descriptor)
 
 
-def test_what_another_copy_has_compiled_does_not_silence_this_one(tmp_path: Path) -> None:
-    ended(start(tmp_path / "cache"))
+def test_what_another_copy_has_compiled_does_not_silence_this_one(
+    first_start: tuple[Path, list[int], str], tmp_path: Path
+) -> None:
+    shutil.copytree(first_start[0], tmp_path / "cache")
     copy = tmp_path / "copy" / "asterism"
     for package in (asterism.server, asterism.protocol):
         source = Path(package.__file__).resolve().parent

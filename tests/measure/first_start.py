@@ -92,7 +92,7 @@ def design() -> None:
     from asterism.server.design.plate_design import Request
     from asterism.server.design.plate_design import design as search
 
-    search(Request(2, 0.1, 0.012, 1.5, 0.05))
+    search(Request(2, 0.1, 0.03, 1.5, 0.05))  # LEDs so far apart that there is little to search
 
 
 def called() -> set[tuple[str, str]]:

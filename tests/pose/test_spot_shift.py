@@ -32,7 +32,7 @@ def solve(
     pixels = camera.project(np.column_stack([rays, np.ones(len(rays))]))
     covariances = np.tile([(0.01 / 1400) ** 2, 0.0, (0.01 / 1400) ** 2], (6, 1))
     labels = np.arange(6) if assignment is None else assignment
-    matched = Matched(np.zeros(1, np.int64), labels[None], start.rotation[None], start.position[None])
+    matched = Matched(np.zeros(1, np.int64), labels[None], start.rotation[None], start.position[None].copy())
     constellations, found = Constellations(layout[None], optics(radius)[None]), Solutions.room(1)
     solve_robots(lens_of(camera), constellations, matched, Measured(rays, covariances, pixels), found)
     return found.rotations[0], found.ts[0], found.costs[0], found.residuals[0]
