@@ -11,12 +11,16 @@ BUFFER = 8192  # of the sockets: what waits, waits at the server
 
 
 class Proxy:
-    """Listens at ``endpoint`` and passes bytes on, at most ``rate`` a second towards the client. A context manager."""
+    """Listens at ``endpoint`` and passes bytes on, at most ``rate`` a second towards the client. A context manager.
 
-    def __init__(self, server: str, rate: float = 1e12) -> None:
+    ``buffer``: bytes, of its sockets; None: the kernel's own, which hold more than a short stall brings.
+    """
+
+    def __init__(self, server: str, rate: float = 1e12, buffer: int | None = BUFFER) -> None:
         host, port = server.removeprefix("tcp/").split(":")
         self._server = (host, int(port))
         self.rate = rate
+        self._buffer = buffer
         self.flows = threading.Event()  # cleared: the link stands still
         self.flows.set()
         self._stop = threading.Event()
@@ -46,9 +50,9 @@ class Proxy:
                 continue
             client = self._listener.accept()[0]
             server = socket.socket()
-            for end in (client, server):
-                end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
-                end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
+            for end in (client, server) if self._buffer else ():
+                end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, self._buffer)
+                end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, self._buffer)
             try:
                 server.connect(self._server)
             except OSError:

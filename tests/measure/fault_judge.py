@@ -72,9 +72,8 @@ def _age_s(line: dict[str, Any]) -> float:
 
 
 def _is_readable(folder: Path, last: dict[int, int]) -> bool:
-    """Whether a recording can be read as it is, and recovered; the newest exposure of each session goes to ``last``."""
+    """Whether a recording can be recovered, and read then; the newest exposure of each session goes to ``last``."""
     try:
-        list(Recording(folder).messages())
         assert asterism("recover", folder).returncode == 0
         for message in Recording(folder).messages():
             if message.kind.schema == FRAME_REPORT.schema:

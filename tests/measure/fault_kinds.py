@@ -146,7 +146,7 @@ def nonsense(place: Place) -> float:
             session.put(keys.beat(CAMERA), payload)
     back = _back(place)
     assert watch.poll() is None, "watch ended"
-    watch.send_signal(signal.SIGINT)
+    watch.terminate()
     place.errors.append(watch.communicate(timeout=30)[1])
     return back
 

@@ -252,7 +252,8 @@ def served(setting: Setting) -> Iterator[Place]:
         router = start(ROUTER, endpoint) if setting.router else None
         server.start()
         stack.callback(_make_sure, server)
-        link = stack.enter_context(Proxy(endpoint)) if setting.link else None
+        # With a window smaller than a segment the kernel may go on only after seconds, when it probes the window again.
+        link = stack.enter_context(Proxy(endpoint, buffer=None)) if setting.link else None
         client = Client(endpoint if link is None else link.endpoint)
         stack.callback(client.process.kill)
         place = Place(server, client, endpoint, recordings, router, link, clock)
