@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from asterism.protocol.messages import Fate
 from asterism.recordings.tiles import STEP_PX, TILE_PX, Floats, Image, Tiles, Window, lowest_around
 
-LED, UNEXPLAINED, TOO_SMALL = int(Fate.LED), int(Fate.UNEXPLAINED), int(Fate.TOO_SMALL)
+LED, UNEXPLAINED = int(Fate.LED), int(Fate.UNEXPLAINED)
 COMPRESSED_ROWS, COMPRESSED_LEVELS, COMPRESSED = 16, 40, 0.9
 
 
@@ -30,7 +30,6 @@ class Margin(NamedTuple):
 LIGHT = Margin(2.0, 9.0)  # of an LED that other light may lean on
 ALONE = Margin(1.45, 7.0)  # of one that none does, and of what looks like one
 STRANGE = Margin(1.2, 4.0)  # of what looks like one, far from all LEDs: it is seen, no more
-SPECK = Margin(1.45, 5.0)  # of what is too small
 OTHER = Margin(6.0, 8.0)  # of one that was rejected, which may be long or ragged
 LARGEST_PX = 200.0  # of a lamp no more is kept
 LONG = 1.5  # times its radius, how far a spot may reach
@@ -39,6 +38,7 @@ REFRESH = 600  # frames
 CHANGED, CHANGED_MUCH = 0.6, 4.0  # grey levels of the mean, from which on the light has changed; so much at once
 LEAST_AGE = 60  # frames, unless it has changed much: lamps flicker
 FEW_TILES = 0.45  # of all, of which the pixels themselves are kept: a third of the time that dots take
+MOST = 0.6  # of those that are told, that must be even for dots to do: polished floors shine everywhere
 UNEVEN = 1.0  # grey levels, from which on a tile's level is another
 
 
@@ -106,6 +106,8 @@ class SpotWindows:
         plain = self._even[chosen.tiles] & ~told.dark
         if plain.all():
             self._tiles.dot(self._out, chosen, told)
+        elif plain.mean() < MOST:
+            self._tiles.copy(image, self._out, chosen)
         else:
             self._tiles.dot(self._out, chosen.of(plain), told.of(plain))
             self._tiles.copy(image, self._out, chosen.of(~plain))
@@ -137,7 +139,6 @@ def _margins(spots: Spots) -> Floats:
     of_others, near_led = fate[others], near.any(axis=0)
     margins[:, others[(of_others == UNEXPLAINED) & near_led]] = _column(ALONE)
     margins[:, others[(of_others == UNEXPLAINED) & ~near_led]] = _column(STRANGE)
-    margins[:, others[(of_others == TOO_SMALL) & ~near_led]] = _column(SPECK)
     return margins
 
 
