@@ -65,7 +65,7 @@ def connect_all(image, thresholds, scratch):
 
     Where there are too many the ``thresholds`` (blocks, w) are raised and the cell is marked as ``crowded``.
     """
-    tables = scratch.hot, scratch.runs, scratch.parent, scratch.components
+    tables = scratch.runs, scratch.parent, scratch.components
     components, runs = connect(image, thresholds, *tables)
     step = FIRST_STEP
     cell_runs, cell_tops = np.zeros(scratch.crowded.shape, np.int64), np.zeros(scratch.crowded.shape, np.int64)

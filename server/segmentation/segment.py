@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
 from asterism.server.segmentation.background import BLOCK_ROWS, background_of, seed_thresholds
-from asterism.server.segmentation.components import COMPONENT_COLUMNS, RUN_COLUMNS, hot_width
+from asterism.server.segmentation.components import COMPONENT_COLUMNS, RUN_COLUMNS
 from asterism.server.segmentation.crowds import MOST_COMPONENTS, MOST_RUNS, cells_for, connect_all
 from asterism.server.segmentation.glare import LEAST_HALF, MOST_LEVELS, first_half, glares_of, lift
 from asterism.server.segmentation.opening import OpeningRoom, opening_room
@@ -26,14 +26,13 @@ SPLIT_SPOTS = 1000  # rows of the spot table for spots split from others, beyond
 
 class Scratch(NamedTuple):
     """Work arrays for frames of one size, reused so that no frame pays for fresh memory: seed ``thresholds`` and
-    ``bars``, those of the residue, (blocks, w) of blocks of rows; ``hot``, ``runs``, ``parent`` and ``components`` as
+    ``bars``, those of the residue, (blocks, w) of blocks of rows; ``runs``, ``parent`` and ``components`` as
     `connect` takes them; ``crowded`` cells as in `crowds`; ``painted`` and ``residue`` (h, w) and ``opening`` as in
     `glare`; ``spots`` (capacity, SPOT_COLUMNS), which are found.
     """
 
     thresholds: NDArray[np.uint8]
     bars: NDArray[np.uint8]
-    hot: NDArray[np.uint8]
     runs: NDArray[np.int32]
     parent: NDArray[np.int32]
     components: NDArray[np.int32]
@@ -53,7 +52,6 @@ class Scratch(NamedTuple):
         return Scratch(
             np.empty((blocks, width), np.uint8),
             np.empty((blocks, width), np.uint8),
-            np.zeros(hot_width(width), np.uint8),
             np.empty((MOST_RUNS * number, RUN_COLUMNS), np.int32),
             np.empty(MOST_RUNS * number, np.int32),
             np.empty((components, COMPONENT_COLUMNS), np.int32),

@@ -156,7 +156,7 @@ def parts_of_segment(rig: Rig, images: list[NDArray[np.uint8]]) -> dict[str, lis
         seeds = (SEED_SIGMAS, SEED_LEAST)
         timed(seed_thresholds, level, noise, *seeds, *image.shape, scratch.thresholds)
         tables = (scratch.runs, scratch.parent, scratch.components)
-        count, _ = timed(connect, image, scratch.thresholds, scratch.hot, *tables)
+        count, _ = timed(connect, image, scratch.thresholds, *tables)
         limits = Limits(*seeds, plan.largest_radius_px, plan.masks)
         components, background = scratch.components[:count], Background(level, noise)
         seeds_of = Seeds(image, scratch.thresholds, False)

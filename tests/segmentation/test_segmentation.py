@@ -20,7 +20,6 @@ from asterism.server.segmentation.components import (
     Y0,
     Y1,
     connect,
-    hot_width,
 )
 from asterism.server.segmentation.segment import Scratch
 from tests.centres.rendering import Canvas
@@ -74,15 +73,15 @@ def test_seed_thresholds_are_background_plus_sigmas_noise(rng: np.random.Generat
 
 
 def test_components_equal_scipys_labelling(rng: np.random.Generator) -> None:
-    for width in (64, 101, 130):
+    for width in (7, 64, 101, 130, 192):
         image = (
             (ndimage.gaussian_filter(rng.standard_normal((97, width)), 1.2) * 300 + 40).clip(0, 255).astype(np.uint8)
         )
         blocks = -(-97 // BLOCK_ROWS)
         thresholds = rng.integers(80, 100, (blocks, width)).astype(np.uint8)
-        hot, runs = np.zeros(hot_width(width), np.uint8), np.empty((5000, RUN_COLUMNS), np.int32)
+        runs = np.empty((5000, RUN_COLUMNS), np.int32)
         table = np.empty((1000, COMPONENT_COLUMNS), np.int32)
-        count, n_runs = connect(image, thresholds, hot, runs, np.empty(5000, np.int32), table)
+        count, n_runs = connect(image, thresholds, runs, np.empty(5000, np.int32), table)
         above = image > np.repeat(thresholds, BLOCK_ROWS, axis=0)[:97]
         labels, expected = ndimage.label(above, structure=np.ones((3, 3)))
         assert count == expected
