@@ -1,15 +1,15 @@
 """Connected components of the pixels above their seed threshold, touching only the hot places of the frame.
 
-One pass over the frame marks, block of eight rows by block, the columns in which any pixel exceeds its threshold (the
-compiler turns it into SIMD code that runs at memory speed). Only marked columns are looked at again, row by row, while
-the block is in the cache, as runs that are joined to components (8-neighbourhood) by union-find.
+One pass over the frame compares WORD columns at a time with the least threshold there (the compiler turns it into SIMD
+code that runs at memory speed). Where any of them is brighter, their own thresholds tell a bit for each, and the bits
+the runs of the row; runs are joined to components (8-neighbourhood) by union-find.
 """
 
 import numpy as np
 
 from asterism.server.compiled import compiled
-from asterism.server.segmentation.background import BLOCK_ROWS
 from asterism.server.segmentation.pixels import Box, index
+from asterism.server.segmentation.thresholds import BLOCK_ROWS, WORD, tell
 
 # Columns of the component table; X1 and Y1 are exclusive, START is the column of a pixel of it in its first row.
 X0, X1, Y0, Y1, AREA, PEAK, START = range(7)
@@ -19,7 +19,7 @@ COMPONENT_COLUMNS = 7
 ROW, FIRST, END, NUMBER = range(4)
 RUN_COLUMNS = 4
 
-WORD = 64  # columns that are looked at together: one bit each in a machine word
+NO, YES = np.uint8(0), np.uint8(1)
 ZERO64, ONE64 = np.uint64(0), np.uint64(1)
 # Of a place's number, from the highest on: the bits that are set in every word in which only that place's is.
 HALVES = tuple(np.uint64(sum(1 << place for place in range(WORD) if place & half)) for half in (32, 16, 8, 4, 2, 1))
@@ -32,28 +32,43 @@ def box_of(component):
 
 
 @compiled
-def _next_hot(image, thresholds, y, start):
-    """The first column, from ``start`` on by whole WORDs, with a pixel of row ``y`` above its threshold among the WORD
-    that begin there; where fewer are left, the first of them.
-    """
-    row, block, last = index(y), index(y // BLOCK_ROWS), image.shape[1] - WORD
-    while start <= last:
-        found = False
-        for k in range(WORD):
-            found |= image[row, index(start + k)] > thresholds[block, index(start + k)]
-        if found:
-            break
-        start += WORD
-    return start
+def _is_hot(image, y, start, bar):
+    """Whether any of the WORD pixels of row ``y`` from ``start`` on is above ``bar``."""
+    row, hot = index(y), NO
+    for k in range(WORD):
+        hot = np.uint8(hot | (YES if image[row, index(start + k)] > bar else NO))
+    return hot != NO
 
 
 @compiled
-def _bits_above(image, thresholds, y, start):
-    """Which pixels of row ``y`` from ``start`` on, WORD of them at most, are above their threshold: a bit for each."""
+def _next_hot(image, least, y, start):
+    """The first place, from column ``start`` of row ``y`` on by whole WORDs, where one of the WORD pixels of the row
+    that begin there is above the ``least`` threshold (blocks, words): its row, the height if there is none, and column.
+    """
+    height, width = image.shape
+    rest = width // WORD * WORD
+    for row in range(y, height):
+        block = index(row // BLOCK_ROWS)
+        for place in range(start, rest, WORD):
+            if _is_hot(image, row, place, least[block, index(place // WORD)]):
+                return row, place
+        # At the row's end as many pixels, for SIMD code, if there are so many.
+        at_end = start <= rest < width
+        if at_end and (width < WORD or _is_hot(image, row, width - WORD, least[block, index(rest // WORD)])):
+            return row, rest
+        start = 0
+    return height, 0
+
+
+@compiled
+def _bits_above(image, rows, y, start):
+    """Which pixels of row ``y`` from ``start`` on, WORD of them at most, are above their threshold in the ``rows``
+    (blocks, w): a bit for each.
+    """
     row, block = index(y), index(y // BLOCK_ROWS)
     bits = ZERO64
     for k in range(min(WORD, image.shape[1] - start)):
-        above = image[row, index(start + k)] > thresholds[block, index(start + k)]
+        above = image[row, index(start + k)] > rows[block, index(start + k)]
         bits |= (ONE64 if above else ZERO64) << np.uint64(k)
     return bits
 
@@ -70,36 +85,36 @@ def _lowest(bits):
 
 @compiled
 def _find_runs(image, thresholds, runs):
-    """Fill ``runs`` with the stretches of all rows that are above their thresholds; return how many there are, and
+    """Fill ``runs`` with the stretches of all rows that are above their `Thresholds`; return how many there are, and
     whether that is all.
     """
     height, width = image.shape
-    count = 0
-    for y in range(height):
-        inside, start = ZERO64, 0
-        while start < width:
+    count, inside = 0, ZERO64
+    # Most of a frame is cold.
+    y, start = _next_hot(image, thresholds.least, 0, 0)
+    while y < height:
+        if not thresholds.known[y // BLOCK_ROWS, start // WORD]:
+            tell(thresholds, height, y // BLOCK_ROWS, start // WORD)
+        bits = _bits_above(image, thresholds.rows, y, start)
+        edges = bits ^ (bits << ONE64 | inside)
+        while edges != ZERO64:
+            x = start + _lowest(edges)
+            edges &= edges - ONE64
             if inside == ZERO64:
-                # Most of a row is cold.
-                start = _next_hot(image, thresholds, y, start)
-                if start >= width:
-                    break
-            bits = _bits_above(image, thresholds, y, start)
-            edges = bits ^ (bits << ONE64 | inside)
-            while edges != ZERO64:
-                x = start + _lowest(edges)
-                edges &= edges - ONE64
-                if inside == ZERO64:
-                    if count == runs.shape[0]:
-                        return count, False
-                    runs[count, ROW], runs[count, FIRST] = y, x
-                else:
-                    runs[count, END] = x
-                    count += 1
-                inside ^= ONE64
-            start += WORD
-        if inside != ZERO64:
+                if count == runs.shape[0]:
+                    return count, False
+                runs[count, ROW], runs[count, FIRST] = y, x
+            else:
+                runs[count, END] = x
+                count += 1
+            inside ^= ONE64
+        start += WORD
+        if inside != ZERO64 and start >= width:
             runs[count, END] = width
             count += 1
+            inside = ZERO64
+        if inside == ZERO64:
+            y, start = _next_hot(image, thresholds.least, y, start)
     return count, True
 
 
@@ -144,7 +159,8 @@ def connect(image, thresholds, runs, parent, table):
     """Fill ``table`` (capacity, COMPONENT_COLUMNS) int32 with the components and ``runs`` (capacity, RUN_COLUMNS) int32
     with their rows' stretches; return how many there are of both.
 
-    ``parent`` (capacity,) is scratch. Returns -1 components when a capacity does not suffice.
+    The image's `Thresholds` become known where it is bright. ``parent`` (capacity,) is scratch. Returns -1 components
+    when a capacity does not suffice.
     """
     width = image.shape[1]
     count, complete = _find_runs(image, thresholds, runs)

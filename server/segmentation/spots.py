@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from asterism.server.compiled import compiled
-from asterism.server.segmentation.background import BLOCK_ROWS, interpolate
+from asterism.server.segmentation.background import interpolate
 from asterism.server.segmentation.components import AREA, PEAK, box_of
 from asterism.server.segmentation.crowds import CELL_BLOCKS, CELL_PX
 from asterism.server.segmentation.glare import MOST_RISE, is_glare
@@ -53,6 +53,7 @@ from asterism.server.segmentation.spot_table import (
     Y,
 )
 from asterism.server.segmentation.surroundings import ring_background, ring_quartile
+from asterism.server.segmentation.thresholds import BLOCK_ROWS
 from asterism.server.segmentation.watershed import keep_group, most_regions, watershed
 
 MARGIN_PX = 3  # of the window around a spot; the ring of its outermost pixels shows the background
@@ -82,7 +83,7 @@ class Limits(NamedTuple):
 
 
 class Seeds(NamedTuple):
-    """What components were found with: an ``image`` (h, w) uint8 and its ``thresholds`` (blocks, w). ``lifted``: it is
+    """What components were found with: an ``image`` (h, w) uint8 and its `Thresholds`. ``lifted``: it is
     the residue of `glare`, light told above its surroundings, and not the frame.
     """
 

@@ -9,6 +9,7 @@ import numpy as np
 from asterism.server.compiled import compiled
 from asterism.server.segmentation.components import START, Y0
 from asterism.server.segmentation.pixels import index
+from asterism.server.segmentation.thresholds import BLOCK_ROWS, tell_box
 
 PROMINENCE = 0.12  # a peak that stands out less, as a share of its height, belongs to its neighbour
 
@@ -39,13 +40,14 @@ def watershed(seeds, box, base, noise, labels, regions):
     (itself if it stands alone), and a higher region of the connected group it belongs to (itself if it is the
     highest; see `_top`). Returns the number of regions, joined ones included.
     """
-    image, thresholds = seeds.image, seeds.thresholds
+    image, thresholds = seeds.image, seeds.thresholds.rows
+    tell_box(seeds.thresholds, image.shape[0], box)
     x0, y0 = box.x0, box.y0
     width, height = box.x1 - x0, box.y1 - y0
     cells = width * height
     counts = np.zeros(257, np.int32)
     for y in range(height):
-        limit = thresholds[(y + y0) // 8]
+        limit = thresholds[(y + y0) // BLOCK_ROWS]
         for x in range(width):
             labels[y * width + x] = -1
             value = image[y + y0, x + x0]
@@ -56,7 +58,7 @@ def watershed(seeds, box, base, noise, labels, regions):
     order = np.empty(max(counts[256], 1), np.int32)
     total = counts[256]
     for y in range(height):
-        limit = thresholds[(y + y0) // 8]
+        limit = thresholds[(y + y0) // BLOCK_ROWS]
         for x in range(width):
             value = image[y + y0, x + x0]
             if value > limit[x + x0]:
