@@ -41,13 +41,14 @@ def _is_hot(image, y, start, bar):
 
 
 @compiled
-def _next_hot(image, least, y, start):
+def _next_hot(image, least, y, end, start):
     """The first place, from column ``start`` of row ``y`` on by whole WORDs, where one of the WORD pixels of the row
-    that begin there is above the ``least`` threshold (blocks, words): its row, the height if there is none, and column.
+    that begin there is above the ``least`` threshold (blocks, words): its row, ``end`` if there is none above that
+    row, and column.
     """
-    height, width = image.shape
+    width = image.shape[1]
     rest = width // WORD * WORD
-    for row in range(y, height):
+    for row in range(y, end):
         block = index(row // BLOCK_ROWS)
         for place in range(start, rest, WORD):
             if _is_hot(image, row, place, least[block, index(place // WORD)]):
@@ -57,7 +58,7 @@ def _next_hot(image, least, y, start):
         if at_end and (width < WORD or _is_hot(image, row, width - WORD, least[block, index(rest // WORD)])):
             return row, rest
         start = 0
-    return height, 0
+    return end, 0
 
 
 @compiled
@@ -84,15 +85,15 @@ def _lowest(bits):
 
 
 @compiled
-def _find_runs(image, thresholds, runs):
-    """Fill ``runs`` with the stretches of all rows that are above their `Thresholds`; return how many there are, and
-    whether that is all.
+def _find_runs(image, thresholds, within, runs):
+    """Fill ``runs`` with the stretches that are above their `Thresholds`, in the rows of the box ``within``; return how
+    many there are, and whether that is all.
     """
     height, width = image.shape
     count, inside = 0, ZERO64
     # Most of a frame is cold.
-    y, start = _next_hot(image, thresholds.least, 0, 0)
-    while y < height:
+    y, start = _next_hot(image, thresholds.least, within.y0, within.y1, 0)
+    while y < within.y1:
         if not thresholds.known[y // BLOCK_ROWS, start // WORD]:
             tell(thresholds, height, y // BLOCK_ROWS, start // WORD)
         bits = _bits_above(image, thresholds.rows, y, start)
@@ -114,7 +115,7 @@ def _find_runs(image, thresholds, runs):
             count += 1
             inside = ZERO64
         if inside == ZERO64:
-            y, start = _next_hot(image, thresholds.least, y, start)
+            y, start = _next_hot(image, thresholds.least, y, within.y1, start)
     return count, True
 
 
@@ -155,15 +156,15 @@ def _join_runs(runs, parent):
 
 
 @compiled
-def connect(image, thresholds, runs, parent, table):
+def connect(image, thresholds, within, runs, parent, table):
     """Fill ``table`` (capacity, COMPONENT_COLUMNS) int32 with the components and ``runs`` (capacity, RUN_COLUMNS) int32
-    with their rows' stretches; return how many there are of both.
+    with their rows' stretches; return how many there are of both. Only rows of the box ``within`` are looked at.
 
     The image's `Thresholds` become known where it is bright. ``parent`` (capacity,) is scratch. Returns -1 components
     when a capacity does not suffice.
     """
     width = image.shape[1]
-    count, complete = _find_runs(image, thresholds, runs)
+    count, complete = _find_runs(image, thresholds, within, runs)
     if not complete:
         return -1, count
     _join_runs(runs[:count], parent)

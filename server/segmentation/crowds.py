@@ -63,13 +63,14 @@ def _raise_crowded(thresholds, runs, tops, step, crowded):
 
 
 @compiled
-def connect_all(image, thresholds, scratch):
+def connect_all(image, thresholds, within, scratch):
     """Components and runs of the image in the tables of ``scratch``, however many there would be: how many there are.
 
-    Where there are too many the `Thresholds` are raised and the cell is marked as ``crowded``.
+    Outside the rows of the box ``within`` the image is dark. Where there are too many the `Thresholds` are raised and
+    the cell is marked as ``crowded``.
     """
     tables = scratch.runs, scratch.parent, scratch.components
-    components, runs = connect(image, thresholds, *tables)
+    components, runs = connect(image, thresholds, within, *tables)
     step = FIRST_STEP
     cell_runs, cell_tops = np.zeros(scratch.crowded.shape, np.int64), np.zeros(scratch.crowded.shape, np.int64)
     while components < 0:
@@ -77,5 +78,5 @@ def connect_all(image, thresholds, scratch):
         _count(image, thresholds.rows, cell_runs, cell_tops)
         _raise_crowded(thresholds, cell_runs, cell_tops, step, scratch.crowded)
         step *= 2
-        components, runs = connect(image, thresholds, *tables)
+        components, runs = connect(image, thresholds, within, *tables)
     return components, runs

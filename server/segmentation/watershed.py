@@ -45,7 +45,7 @@ def _top(regions, region):
 @compiled
 def _descending(image, rows, box):
     """The pixels of a box above their thresholds, in the ``rows`` (blocks, w), from the brightest on: their cells (n,)
-    int32 in the box with a margin of one pixel around it.
+    int32 in the box with a margin of one pixel around it, and their levels (n,) uint8.
     """
     width, cells = box.x1 - box.x0, (box.x1 - box.x0) * (box.y1 - box.y0)
     seeds, values, total = np.empty(cells, np.int32), np.empty(cells, np.uint8), 0
@@ -61,12 +61,12 @@ def _descending(image, rows, box):
         counts[256 - values[k]] += 1
     for k in range(256):
         counts[k + 1] += counts[k]
-    order = np.empty(total, np.int32)
+    order, levels = np.empty(total, np.int32), np.empty(total, np.uint8)
     for k in range(total):
         place = 255 - values[k]
-        order[counts[place]] = seeds[k]
+        order[counts[place]], levels[counts[place]] = seeds[k], values[k]
         counts[place] += 1
-    return order
+    return order, levels
 
 
 @compiled
@@ -117,6 +117,20 @@ def _judge_beside(cell, stride, marks, best, level, peaks):
 
 
 @compiled
+def _label(marks, regions, box, labels):
+    """Fill ``labels`` (cells,) of a box with where the ``marks`` of its cells lead to."""
+    width = box.x1 - box.x0
+    ends = np.empty(regions.shape[0], np.int32)
+    for region in range(regions.shape[0]):
+        ends[region] = _follow(regions, region, 2)
+    for y in range(box.y1 - box.y0):
+        first, place = (y + 1) * (width + 2) + 1, y * width
+        for x in range(width):
+            mark = marks[index(first + x)]
+            labels[index(place + x)] = ends[index(mark)] if mark > NOBODY else NOBODY
+
+
+@compiled
 def watershed(seeds, box, base, noise, labels, regions):
     """Split the pixels of a box above their ``seeds``' thresholds into regions, one for every prominent peak.
 
@@ -126,15 +140,15 @@ def watershed(seeds, box, base, noise, labels, regions):
     highest; see `_top`). Returns the number of regions, joined ones included.
     """
     tell_box(seeds.thresholds, seeds.image.shape[0], box)
-    order = _descending(seeds.image, seeds.thresholds.rows, box)
+    order, levels = _descending(seeds.image, seeds.thresholds.rows, box)
     # Cells with a margin around them, so that each has eight neighbours: ``lit`` are those that were looked at.
     width, height = box.x1 - box.x0, box.y1 - box.y0
     stride = width + 2
     lit, marks = np.empty(stride * (height + 2), np.int16), np.empty(stride * (height + 2), np.int32)
     lit[:], marks[:] = -1, -1
     count = 0
-    for cell in order:
-        level = seeds.image[box.y0 + cell // stride - 1, box.x0 + cell % stride - 1]
+    for k in range(order.shape[0]):
+        cell, level = order[k], float(levels[k])
         # First the brightest neighbour's region, then judge every other region that meets it here.
         best, one = _brightest_beside(cell, stride, lit, marks)
         lit[cell] = level
@@ -149,9 +163,7 @@ def watershed(seeds, box, base, noise, labels, regions):
             if one
             else _judge_beside(cell, stride, marks, best, level, Peaks(base, noise, regions))
         )
-    labels[: width * height] = -1
-    for cell in order:
-        labels[(cell // stride - 1) * width + cell % stride - 1] = _follow(regions, marks[cell], 2)
+    _label(marks, regions[:count], box, labels)
     return count
 
 

@@ -30,6 +30,7 @@ from asterism.server.chain import pipeline
 from asterism.server.identity.plan import plan_for
 from asterism.server.segmentation.background import background_of
 from asterism.server.segmentation.components import connect
+from asterism.server.segmentation.pixels import whole_of
 from asterism.server.segmentation.segment import SEED_LEAST, SEED_SIGMAS
 from asterism.server.segmentation.spots import Background, Limits, Seeds, measure_spots
 from asterism.server.segmentation.thresholds import begin_thresholds
@@ -157,7 +158,7 @@ def parts_of_segment(rig: Rig, images: list[NDArray[np.uint8]]) -> dict[str, lis
         seeds = (SEED_SIGMAS, SEED_LEAST)
         timed(begin_thresholds, level, noise, *seeds, image.shape[0], scratch.thresholds)
         tables = (scratch.runs, scratch.parent, scratch.components)
-        count, _ = timed(connect, image, scratch.thresholds, *tables)
+        count, _ = timed(connect, image, scratch.thresholds, whole_of(image), *tables)
         limits = Limits(*seeds, plan.largest_radius_px, plan.masks)
         components, background = scratch.components[:count], Background(level, noise)
         seeds_of = Seeds(image, scratch.thresholds, False)

@@ -14,6 +14,7 @@ from asterism.server.segmentation.segment import SEED_LEAST, SEED_SIGMAS, Scratc
 from asterism.server.segmentation.spot_table import (
     FATE,
     MASKED,
+    MISFIT,
     NOISE,
     TOO_LARGE,
     UNEXPLAINED,
@@ -165,6 +166,17 @@ def test_work_is_bounded(rng: np.random.Generator) -> None:
     for share in (0.02, 0.1, 0.5):
         image = np.where(rng.random((HEIGHT, WIDTH)) < share, rng.integers(60, 256, (HEIGHT, WIDTH)), 10)
         assert segment(image.astype(np.uint8), 12.0, NO_MASKS, scratch) < len(scratch.spots)
+
+
+def test_one_frame_leaves_nothing_for_the_next(rng: np.random.Generator) -> None:
+    scratch = Scratch.of(HEIGHT, WIDTH)
+    for kind in ("core", "soft", "core"):
+        image = Canvas(glare(kind, 120, rng)).ellipse(250, 100, 2.5).ellipse(254, 101, 2.5).expose(rng)
+        found = scratch.spots[: segment(image, 12.0, NO_MASKS, scratch)]
+        assert (found[:, FATE] == TOO_LARGE).any()
+        assert np.array_equal(found[:, :MISFIT], spots_of(image)[:, :MISFIT])
+        assert not scratch.painted.any()
+        assert not scratch.residue.any()
 
 
 def test_masks_hold_inside_glare(rng: np.random.Generator) -> None:

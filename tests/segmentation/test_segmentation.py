@@ -97,7 +97,7 @@ def test_components_equal_scipys_labelling(rng: np.random.Generator) -> None:
         runs = np.empty((5000, RUN_COLUMNS), np.int32)
         table = np.empty((1000, COMPONENT_COLUMNS), np.int32)
         told = told_by(thresholds, 97)
-        count, n_runs = connect(image, told, runs, np.empty(5000, np.int32), table)
+        count, n_runs = connect(image, told, whole_of(image), runs, np.empty(5000, np.int32), table)
         above = image > np.repeat(thresholds, BLOCK_ROWS, axis=0)[:97]
         labels, expected = ndimage.label(above, structure=np.ones((3, 3)))
         assert count == expected
