@@ -1,4 +1,4 @@
-"""The image's background, coarse: its level and noise in tiles, and from them the seed threshold of every pixel.
+"""The image's background, coarse: its level and noise in tiles.
 
 A tile's level is the median of a sparse sample of its pixels, so LEDs and lamps smaller than half a tile do not
 move it; its noise comes from differences of neighbouring pixels, so a brightness gradient does not count as noise.
@@ -14,10 +14,8 @@ from asterism.server.compiled import compiled
 from asterism.server.segmentation.pixels import Box, index
 
 TILE_PX = 128
-BLOCK_ROWS = 8  # rows that share one row of seed thresholds
 _SAMPLED_ROWS = 8  # of a tile
 _STEP_PX = 4  # between samples of a row
-_PART_BITS = 7  # of a grey level's parts, in which thresholds are stepped
 LARGEST_STEP = 48  # grey levels between neighbours: beyond it certainly an edge
 LEAST_LAMP = 12.0  # grey levels by which light in a tile, or a tile that a lamp fills, stands out
 MOST_RAMP = 16.0  # grey levels by which a tile is brighter than one beside it because the background is a gradient
@@ -217,64 +215,6 @@ def interpolate(tiles, y, x, height, width):
     upper = tiles[i, j] + fu * (tiles[i, j1] - tiles[i, j])
     lower = tiles[i1, j] + fu * (tiles[i1, j1] - tiles[i1, j])
     return upper + fv * (lower - upper)
-
-
-@compiled
-def _fill_ramp(start, slope, places, line):
-    """Fill ``line`` (n,) float32 with a ramp at the ``places`` (n,)."""
-    for k in range(line.shape[0]):
-        line[k] = start + slope * places[k]
-
-
-@compiled
-def _line_of_seeds(level, noise, sigmas, least, places, line):
-    """Fill ``line`` (w,) float32 with the seed thresholds at the height of a row of tiles' centres; ``places`` (w,)
-    float32 are 0, 1, 2 ...
-    """
-    tiles, width = level.shape[0], line.shape[0]
-    per_px = tiles / width
-    # From one tile's centre to the next it is a ramp; beyond the outer ones it is level.
-    for j in range(-1, tiles):
-        x0 = max(math.ceil((j + 0.5) / per_px - 0.5), 0)
-        x1 = min(math.ceil((j + 1.5) / per_px - 0.5), width)
-        j0, j1 = max(j, 0), min(j + 1, tiles - 1)
-        left = min(level[j0] + max(sigmas * noise[j0], least), 255.0)
-        rise = min(level[j1] + max(sigmas * noise[j1], least), 255.0) - left
-        start, slope = np.float32(left + rise * (0.5 * per_px - 0.5 - j)), np.float32(rise * per_px)
-        _fill_ramp(start, slope, places[x0:x1], line[x0:x1])
-
-
-@compiled
-def seed_thresholds(level, noise, sigmas, least, height, width, thresholds):
-    """Fill ``thresholds`` (blocks, w) uint8: a pixel above its block's threshold may belong to a spot.
-
-    The threshold is the background plus ``sigmas`` times its noise, at least ``least`` grey levels.
-    """
-    tiles_y = level.shape[0]
-    lines, places = np.empty((tiles_y, width), np.float32), np.empty(width, np.float32)
-    for x in range(width):
-        places[x] = x
-    for ty in range(tiles_y):
-        _line_of_seeds(level[ty], noise[ty], sigmas, least, places, lines[ty])
-    # Every block is a blend of two lines: stepped from block to block in parts of a grey level, which is what the
-    # compiler makes the fastest code of.
-    now, change = np.empty(width, np.int16), np.empty(width, np.int16)
-    per_block = BLOCK_ROWS * tiles_y / height
-    before = -2
-    for block in range(thresholds.shape[0]):
-        v = (block + 0.5) * per_block - 0.5
-        i = min(math.floor(v), tiles_y - 1)
-        if i != before:
-            before = i
-            upper, lower = lines[max(i, 0)], lines[min(i + 1, tiles_y - 1)]
-            part, parts = np.float32(v - i), np.float32(1 << _PART_BITS)
-            for x in range(width):
-                now[x] = np.int16(parts * (upper[x] + part * (lower[x] - upper[x])))
-                change[x] = np.int16(parts * np.float32(per_block) * (lower[x] - upper[x]))
-        row = thresholds[block]
-        for x in range(width):
-            row[x] = now[x] >> _PART_BITS
-            now[x] += change[x]
 
 
 @compiled

@@ -1,15 +1,15 @@
 """Connected components of the pixels above their seed threshold, touching only the hot places of the frame.
 
-One pass over the frame marks, block of eight rows by block, the columns in which any pixel exceeds its threshold (the
-compiler turns it into SIMD code that runs at memory speed). Only marked columns are looked at again, row by row, while
-the block is in the cache, as runs that are joined to components (8-neighbourhood) by union-find.
+One pass over the frame compares WORD columns at a time with the least threshold there (the compiler turns it into SIMD
+code that runs at memory speed). Where any of them is brighter, their own thresholds tell a bit for each, and the bits
+the runs of the row; runs are joined to components (8-neighbourhood) by union-find.
 """
 
 import numpy as np
 
 from asterism.server.compiled import compiled
-from asterism.server.segmentation.background import BLOCK_ROWS
 from asterism.server.segmentation.pixels import Box, index
+from asterism.server.segmentation.thresholds import BLOCK_ROWS, WORD, tell
 
 # Columns of the component table; X1 and Y1 are exclusive, START is the column of a pixel of it in its first row.
 X0, X1, Y0, Y1, AREA, PEAK, START = range(7)
@@ -19,12 +19,10 @@ COMPONENT_COLUMNS = 7
 ROW, FIRST, END, NUMBER = range(4)
 RUN_COLUMNS = 4
 
-HOT_COLUMNS = 64  # that cold places are skipped by
-
-
-def hot_width(width: int) -> int:
-    """Columns of the marks for an image of that width, px: a multiple of HOT_COLUMNS."""
-    return -(-width // HOT_COLUMNS) * HOT_COLUMNS
+NO, YES = np.uint8(0), np.uint8(1)
+ZERO64, ONE64 = np.uint64(0), np.uint64(1)
+# Of a place's number, from the highest on: the bits that are set in every word in which only that place's is.
+HALVES = tuple(np.uint64(sum(1 << place for place in range(WORD) if place & half)) for half in (32, 16, 8, 4, 2, 1))
 
 
 @compiled
@@ -34,27 +32,91 @@ def box_of(component):
 
 
 @compiled
-def _raise_to(row, tops):
-    """Raise ``tops`` (w,) to a row (w,) of the image where that is brighter."""
-    for x in range(tops.shape[0]):
-        tops[x] = max(tops[x], row[x])
+def _is_hot(image, y, start, bar):
+    """Whether any of the WORD pixels of row ``y`` from ``start`` on is above ``bar``."""
+    row, hot = index(y), NO
+    for k in range(WORD):
+        hot = np.uint8(hot | (YES if image[row, index(start + k)] > bar else NO))
+    return hot != NO
 
 
 @compiled
-def _mark_above(limit, tops):
-    """Turn ``tops`` (w,) into marks: whether they are above the ``limit`` (w,)."""
-    for x in range(tops.shape[0]):
-        tops[x] = tops[x] > limit[x]
+def _next_hot(image, least, y, end, start):
+    """The first place, from column ``start`` of row ``y`` on by whole WORDs, where one of the WORD pixels of the row
+    that begin there is above the ``least`` threshold (blocks, words): its row, ``end`` if there is none above that
+    row, and column.
+    """
+    width = image.shape[1]
+    rest = width // WORD * WORD
+    for row in range(y, end):
+        block = index(row // BLOCK_ROWS)
+        for place in range(start, rest, WORD):
+            if _is_hot(image, row, place, least[block, index(place // WORD)]):
+                return row, place
+        # At the row's end as many pixels, for SIMD code, if there are so many.
+        at_end = start <= rest < width
+        if at_end and (width < WORD or _is_hot(image, row, width - WORD, least[block, index(rest // WORD)])):
+            return row, rest
+        start = 0
+    return end, 0
 
 
 @compiled
-def _mark_hot_columns(image, limit, y0, y1, hot):
-    """Set ``hot`` (w,) where a row from ``y0`` to ``y1`` (exclusive) has a pixel above the ``limit`` (w,)."""
-    hot[:] = 0
-    # Row by row, the order in which memory is fastest.
-    for y in range(y0, y1):
-        _raise_to(image[y], hot)
-    _mark_above(limit, hot)
+def _bits_above(image, rows, y, start):
+    """Which pixels of row ``y`` from ``start`` on, WORD of them at most, are above their threshold in the ``rows``
+    (blocks, w): a bit for each.
+    """
+    row, block = index(y), index(y // BLOCK_ROWS)
+    bits = ZERO64
+    for k in range(min(WORD, image.shape[1] - start)):
+        above = image[row, index(start + k)] > rows[block, index(start + k)]
+        bits |= (ONE64 if above else ZERO64) << np.uint64(k)
+    return bits
+
+
+@compiled
+def _lowest(bits):
+    """The place of the lowest bit that is set: by halves, without a branch."""
+    bit = bits & (~bits + ONE64)
+    return (
+        (32 if bit & HALVES[0] else 0) + (16 if bit & HALVES[1] else 0) + (8 if bit & HALVES[2] else 0)
+        + (4 if bit & HALVES[3] else 0) + (2 if bit & HALVES[4] else 0) + (1 if bit & HALVES[5] else 0)
+    )  # fmt: skip
+
+
+@compiled
+def _find_runs(image, thresholds, within, runs):
+    """Fill ``runs`` with the stretches that are above their `Thresholds`, in the rows of the box ``within``; return how
+    many there are, and whether that is all.
+    """
+    height, width = image.shape
+    count, inside = 0, ZERO64
+    # Most of a frame is cold.
+    y, start = _next_hot(image, thresholds.least, within.y0, within.y1, 0)
+    while y < within.y1:
+        if not thresholds.known[y // BLOCK_ROWS, start // WORD]:
+            tell(thresholds, height, y // BLOCK_ROWS, start // WORD)
+        bits = _bits_above(image, thresholds.rows, y, start)
+        edges = bits ^ (bits << ONE64 | inside)
+        while edges != ZERO64:
+            x = start + _lowest(edges)
+            edges &= edges - ONE64
+            if inside == ZERO64:
+                if count == runs.shape[0]:
+                    return count, False
+                runs[count, ROW], runs[count, FIRST] = y, x
+            else:
+                runs[count, END] = x
+                count += 1
+            inside ^= ONE64
+        start += WORD
+        if inside != ZERO64 and start >= width:
+            runs[count, END] = width
+            count += 1
+            inside = ZERO64
+        if inside == ZERO64:
+            y, start = _next_hot(image, thresholds.least, y, within.y1, start)
+    return count, True
 
 
 @compiled
@@ -66,96 +128,46 @@ def _root(parent, k):
 
 
 @compiled
-def _hot_segments(mark, words, segments):
-    """Fill ``segments`` (capacity, 2) with first and last column but one of every hot stretch; return how many.
-
-    ``mark`` (hot_width,) are a block's marks, ``words`` (hot_width / 8,) the same eight at a time.
-    """
-    count = 0
-    inside = False
-    for place in range(0, words.shape[0], 8):
-        # Most of a block is cold: skip it 64 columns at a time.
-        if not inside:
-            any_hot = words[index(place)]
-            for k in range(1, 8):
-                any_hot |= words[index(place + k)]
-            if any_hot == 0:
-                continue
-        for word in range(place, place + 8):
-            if not inside and words[index(word)] == 0:
-                continue
-            for x in range(8 * word, 8 * word + 8):
-                if (mark[index(x)] != 0) != inside:
-                    inside = not inside
-                    if inside:
-                        segments[count, 0] = x
-                    else:
-                        segments[count, 1] = x
-                        count += 1
-    if inside:
-        segments[count, 1] = mark.shape[0]
-        count += 1
-    return count
+def _join_runs(runs, parent):
+    """Make ``parent`` (n,) lead from each of the ``runs`` (n, RUN_COLUMNS) to the first one of its component."""
+    before, before_end, first = 0, 0, 0
+    while first < runs.shape[0]:
+        y, end = runs[first, ROW], first
+        while end < runs.shape[0] and runs[end, ROW] == y:
+            end += 1
+        if before < before_end and runs[before, ROW] != y - 1:
+            before = before_end
+        above = before
+        for k in range(first, end):
+            parent[k] = k
+            while above < before_end and runs[above, END] < runs[k, FIRST]:
+                above += 1
+            other = above
+            while other < before_end and runs[other, FIRST] <= runs[k, END]:
+                a, b = _root(parent, k), _root(parent, other)
+                if a < b:
+                    parent[b] = a
+                else:
+                    parent[a] = b
+                other += 1
+            # The last run that touched may touch the next run of this row as well.
+            above = max(above, other - 1)
+        before, before_end, first = first, end, end
 
 
 @compiled
-def connect(image, thresholds, hot, runs, parent, table):
+def connect(image, thresholds, within, runs, parent, table):
     """Fill ``table`` (capacity, COMPONENT_COLUMNS) int32 with the components and ``runs`` (capacity, RUN_COLUMNS) int32
-    with their rows' stretches; return how many there are of both.
+    with their rows' stretches; return how many there are of both. Only rows of the box ``within`` are looked at.
 
-    ``hot`` (hot_width,) uint8, zero beyond the image's width, and ``parent`` (capacity,) are scratch. Returns -1
-    components when a capacity does not suffice.
+    The image's `Thresholds` become known where it is bright. ``parent`` (capacity,) is scratch. Returns -1 components
+    when a capacity does not suffice.
     """
-    height, width = image.shape
-    count = 0
-    before, before_end, before_row = 0, 0, -2
-    segments = np.empty((width // 2 + 1, 2), np.int32)
-    words = hot.view(np.uint64)
-    for block in range(thresholds.shape[0]):
-        limit = thresholds[block]
-        y0, y1 = block * BLOCK_ROWS, min((block + 1) * BLOCK_ROWS, height)
-        _mark_hot_columns(image, limit, y0, y1, hot[:width])
-        n_segments = _hot_segments(hot, words, segments)
-        if n_segments == 0:
-            continue
-        for y in range(y0, y1):
-            row = image[y]
-            first = count
-            for s in range(n_segments):
-                inside = False
-                for x in range(segments[s, 0], segments[s, 1]):
-                    if (row[index(x)] > limit[index(x)]) != inside:
-                        inside = not inside
-                        if inside:
-                            if count == runs.shape[0]:
-                                return -1, count
-                            runs[count, ROW], runs[count, FIRST] = y, x
-                        else:
-                            runs[count, END] = x
-                            count += 1
-                if inside:
-                    runs[count, END] = segments[s, 1]
-                    count += 1
-            if count == first:
-                continue
-            if before_row != y - 1:
-                before, before_end = first, first
-            above = before
-            for k in range(first, count):
-                parent[k] = k
-                while above < before_end and runs[above, END] < runs[k, FIRST]:
-                    above += 1
-                other = above
-                while other < before_end and runs[other, FIRST] <= runs[k, END]:
-                    a, b = _root(parent, k), _root(parent, other)
-                    if a < b:
-                        parent[b] = a
-                    else:
-                        parent[a] = b
-                    other += 1
-                # The last run that touched may touch the next run of this row as well.
-                above = max(above, other - 1)
-            before, before_end, before_row = first, count, y
+    width = image.shape[1]
+    count, complete = _find_runs(image, thresholds, within, runs)
+    if not complete:
+        return -1, count
+    _join_runs(runs[:count], parent)
     components = 0
     for k in range(count):
         root = _root(parent, k)

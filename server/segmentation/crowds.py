@@ -8,10 +8,11 @@ double, so that after a few rounds each has no more than its share, or nothing.
 import numpy as np
 
 from asterism.server.compiled import compiled
-from asterism.server.segmentation.background import BLOCK_ROWS
 from asterism.server.segmentation.components import connect
+from asterism.server.segmentation.pixels import whole_of
+from asterism.server.segmentation.thresholds import BLOCK_ROWS, WORD, tell_box
 
-CELL_PX, CELL_BLOCKS = 64, 8  # columns, and blocks of rows
+CELL_PX, CELL_BLOCKS = WORD, 8  # columns, and blocks of rows
 MOST_RUNS, MOST_COMPONENTS = 200, 25  # of a cell, on average: many more than a robot's LEDs have
 FIRST_STEP = 8  # grey levels
 
@@ -48,30 +49,34 @@ def _count(image, thresholds, runs, tops):
 
 @compiled
 def _raise_crowded(thresholds, runs, tops, step, crowded):
-    """Raise the thresholds of cells that have more than their share by ``step`` grey levels, and mark them."""
+    """Raise the `Thresholds` of cells that have more than their share by ``step`` grey levels, and mark them."""
+    rows, least = thresholds.rows, thresholds.least
     for cell_y in range(crowded.shape[0]):
         for cell_x in range(crowded.shape[1]):
             if runs[cell_y, cell_x] <= MOST_RUNS and tops[cell_y, cell_x] <= MOST_COMPONENTS:
                 continue
             crowded[cell_y, cell_x] = 1
-            for block in range(CELL_BLOCKS * cell_y, min(CELL_BLOCKS * (cell_y + 1), thresholds.shape[0])):
-                for x in range(CELL_PX * cell_x, min(CELL_PX * (cell_x + 1), thresholds.shape[1])):
-                    thresholds[block, x] = min(thresholds[block, x] + step, 255)
+            for block in range(CELL_BLOCKS * cell_y, min(CELL_BLOCKS * (cell_y + 1), rows.shape[0])):
+                least[block, cell_x] = min(least[block, cell_x] + step, 255)
+                for x in range(CELL_PX * cell_x, min(CELL_PX * (cell_x + 1), rows.shape[1])):
+                    rows[block, x] = min(rows[block, x] + step, 255)
 
 
 @compiled
-def connect_all(image, thresholds, scratch):
+def connect_all(image, thresholds, within, scratch):
     """Components and runs of the image in the tables of ``scratch``, however many there would be: how many there are.
 
-    Where there are too many the ``thresholds`` (blocks, w) are raised and the cell is marked as ``crowded``.
+    Outside the rows of the box ``within`` the image is dark. Where there are too many the `Thresholds` are raised and
+    the cell is marked as ``crowded``.
     """
-    tables = scratch.hot, scratch.runs, scratch.parent, scratch.components
-    components, runs = connect(image, thresholds, *tables)
+    tables = scratch.runs, scratch.parent, scratch.components
+    components, runs = connect(image, thresholds, within, *tables)
     step = FIRST_STEP
     cell_runs, cell_tops = np.zeros(scratch.crowded.shape, np.int64), np.zeros(scratch.crowded.shape, np.int64)
     while components < 0:
-        _count(image, thresholds, cell_runs, cell_tops)
+        tell_box(thresholds, image.shape[0], whole_of(image))
+        _count(image, thresholds.rows, cell_runs, cell_tops)
         _raise_crowded(thresholds, cell_runs, cell_tops, step, scratch.crowded)
         step *= 2
-        components, runs = connect(image, thresholds, *tables)
+        components, runs = connect(image, thresholds, within, *tables)
     return components, runs

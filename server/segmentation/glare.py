@@ -24,7 +24,7 @@ TILE = 32  # px: where the rise of noise and texture is told
 SAMPLE = 5  # px between the samples of a tile's row, in every other row
 TIMES_MEDIAN = 3.0
 LEAST_RISE, MOST_RISE = 8.0, 20.0  # grey levels: so much more light makes a seed, whatever the texture
-WHOLE, NO_RISE = np.uint8(255), np.int16(0)
+NOTHING, WHOLE, NO_RISE = np.uint8(0), np.uint8(255), np.int16(0)
 
 
 class Lifted(NamedTuple):
@@ -60,14 +60,13 @@ def glares_of(components):
 
 
 @compiled
-def _paint(runs, glares, painted):
-    """Set ``painted`` (h, w) to 255 in the components that are ``glares`` (components,), else to 0."""
-    painted[:] = 0
+def _paint(runs, glares, value, painted):
+    """Set ``painted`` (h, w) to the ``value`` in the components that are ``glares`` (components,)."""
     for k in range(runs.shape[0]):
         if glares[runs[k, NUMBER]]:
-            row = painted[runs[k, ROW]]
+            row = index(runs[k, ROW])
             for x in range(runs[k, FIRST], runs[k, END]):
-                row[index(x)] = WHOLE
+                painted[row, index(x)] = value
 
 
 @compiled
@@ -127,18 +126,29 @@ def lift(image, components, glares, runs, half, scratch):
 
     ``components`` (n, COMPONENT_COLUMNS) and the ``runs`` (m, RUN_COLUMNS) are as `connect` left them; ``half`` of the
     opening's square, px. Where boxes overlap so much that they are more than the image, all of it is opened once.
+    Returns the box that was filled; ``painted`` and, outside the box, the residue are 0 before and after.
     """
-    height, width = image.shape
     whole = whole_of(image)
-    cells = 0
-    for k in range(components.shape[0]):
-        cells += cells_of(grown(box_of(components[k]), half, whole)) if glares[k] else 0
-    _paint(runs, glares, scratch.painted)
-    scratch.residue[:] = 0
-    if cells > height * width:
-        _lift_box(image, whole, half, scratch)
-        return
+    cells, reach = 0, Box(whole.x1, whole.x0, whole.y1, whole.y0)
     for k in range(components.shape[0]):
         if glares[k]:
             # What surrounds the glare counts as well, else spots on its rim would not be narrower than the window.
-            _lift_box(image, grown(box_of(components[k]), half, whole), half, scratch)
+            box = grown(box_of(components[k]), half, whole)
+            cells += cells_of(box)
+            reach = Box(min(reach.x0, box.x0), max(reach.x1, box.x1), min(reach.y0, box.y0), max(reach.y1, box.y1))
+    _paint(runs, glares, WHOLE, scratch.painted)
+    if cells > cells_of(whole):
+        reach = whole
+        _lift_box(image, whole, half, scratch)
+    else:
+        for k in range(components.shape[0]):
+            if glares[k]:
+                _lift_box(image, grown(box_of(components[k]), half, whole), half, scratch)
+    _paint(runs, glares, NOTHING, scratch.painted)
+    return reach
+
+
+@compiled
+def let_fall(reach, scratch):
+    """Clear the residue of ``scratch`` where `lift` filled it."""
+    scratch.residue[reach.y0 : reach.y1, reach.x0 : reach.x1] = NOTHING

@@ -93,10 +93,15 @@ def gather_box(image, box, middle_x, middle_y, pixels, n):
 def pad(pixels, start, end):
     """Let the pixels from ``start`` to ``end`` count, and add some that do not up to a multiple of LANES: to where."""
     padded = -(-end // LANES) * LANES
-    counts = pixels[COUNTS]
-    for i in range(start, end):
+    xs, ys, values, counts = pixels[PX], pixels[PY], pixels[GREY], pixels[COUNTS]
+    for i in range(start, padded):
         counts[index(i)] = ONE
-    for i in range(end, padded):
-        place = index(i)
-        pixels[PX, place] = pixels[PY, place] = pixels[GREY, place] = counts[place] = ZERO
+    # A whole register, whatever of it is too much: no number of rounds that nobody could predict.
+    last = padded - LANES
+    for k in range(LANES if start < padded else 0):
+        place, inside = index(last + k), last + k < end
+        xs[place] = xs[place] if inside else ZERO
+        ys[place] = ys[place] if inside else ZERO
+        values[place] = values[place] if inside else ZERO
+        counts[place] = ONE if inside else ZERO
     return padded

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from asterism.server.compiled import compiled
-from asterism.server.segmentation.background import BLOCK_ROWS, interpolate
+from asterism.server.segmentation.background import interpolate
 from asterism.server.segmentation.components import AREA, PEAK, box_of
 from asterism.server.segmentation.crowds import CELL_BLOCKS, CELL_PX
 from asterism.server.segmentation.glare import MOST_RISE, is_glare
@@ -24,6 +24,7 @@ from asterism.server.segmentation.pixels import (
     cells_of,
     gather_box,
     grown,
+    index,
     pad,
     reaches_edge,
     room_for,
@@ -53,6 +54,7 @@ from asterism.server.segmentation.spot_table import (
     Y,
 )
 from asterism.server.segmentation.surroundings import ring_background, ring_quartile
+from asterism.server.segmentation.thresholds import BLOCK_ROWS
 from asterism.server.segmentation.watershed import keep_group, most_regions, watershed
 
 MARGIN_PX = 3  # of the window around a spot; the ring of its outermost pixels shows the background
@@ -61,6 +63,7 @@ UPPER_PART = 0.3  # of a region's height above its surroundings
 LIFTED_PART = 0.5  # the same in glare, where lower down there may be what is left of a lamp's top or of texture
 LIFTED_NOISE = 2.0  # grey levels: more than shot noise leaves in smoothed pixels, whatever texture is around
 SMALLEST_AREA_PX = 3
+FREE = np.int32(-1)  # the label of pixels that belong to no component
 
 
 class Background(NamedTuple):
@@ -82,7 +85,7 @@ class Limits(NamedTuple):
 
 
 class Seeds(NamedTuple):
-    """What components were found with: an ``image`` (h, w) uint8 and its ``thresholds`` (blocks, w). ``lifted``: it is
+    """What components were found with: an ``image`` (h, w) uint8 and its `Thresholds`. ``lifted``: it is
     the residue of `glare`, light told above its surroundings, and not the frame.
     """
 
@@ -229,14 +232,19 @@ def _region_boxes(seeds, regions, whole, boxes, cut):
     base, part = (0.0, LIFTED_PART) if seeds.lifted else (whole[LEVEL], UPPER_PART)
     boxes[:, 0], boxes[:, 1], boxes[:, 2], boxes[:, 3] = window.x1, window.x0, window.y1, window.y0
     cut[:] = False
+    may_be_cut = reaches_edge(window, seeds.image)
+    bars = np.empty(table.shape[0])
+    for region in range(table.shape[0]):
+        foot = max(table[region, 1], base)
+        bars[region] = foot + part * (table[region, 0] - foot)
     for y in range(window.y0, window.y1):
         for x in range(window.x0, window.x1):
             region = labels[(y - window.y0) * width + x - window.x0]
             if region < 0:
                 continue
-            cut[region] |= reaches_edge(Box(x, x + 1, y, y + 1), seeds.image)
-            foot = max(table[region, 1], base)
-            if seeds.image[y, x] > foot + part * (table[region, 0] - foot):
+            if may_be_cut:
+                cut[region] |= reaches_edge(Box(x, x + 1, y, y + 1), seeds.image)
+            if seeds.image[y, x] > bars[region]:
                 box = boxes[region]
                 box[0], box[1] = min(box[0], x), max(box[1], x + 1)
                 box[2], box[3] = min(box[2], y), max(box[3], y + 1)
@@ -249,11 +257,13 @@ def _region_boxes(seeds, regions, whole, boxes, cut):
 @compiled
 def _leave_to_others(regions, region, window, box, pixels):
     """Let the pixels of a box that belong to another region, or component, not count; the free surroundings do."""
-    width = window.x1 - window.x0
+    labels, counts, mine = regions.labels, pixels[COUNTS], np.int32(region)
+    width, columns = window.x1 - window.x0, box.x1 - box.x0
     for y in range(box.y0, box.y1):
-        for x in range(box.x0, box.x1):
-            if regions.labels[(y - window.y0) * width + x - window.x0] not in (region, -1):
-                pixels[COUNTS, (y - box.y0) * (box.x1 - box.x0) + x - box.x0] = ZERO
+        first, place = (y - window.y0) * width + box.x0 - window.x0, (y - box.y0) * columns
+        for x in range(columns):
+            label = labels[index(first + x)]
+            counts[index(place + x)] = counts[index(place + x)] if label in (mine, FREE) else ZERO
 
 
 @compiled

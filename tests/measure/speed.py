@@ -28,10 +28,12 @@ from asterism.server import Frame, PoseEstimate, Tracks, localize
 from asterism.server.centres import blobs
 from asterism.server.chain import pipeline
 from asterism.server.identity.plan import plan_for
-from asterism.server.segmentation.background import background_of, seed_thresholds
+from asterism.server.segmentation.background import background_of
 from asterism.server.segmentation.components import connect
+from asterism.server.segmentation.pixels import whole_of
 from asterism.server.segmentation.segment import SEED_LEAST, SEED_SIGMAS
 from asterism.server.segmentation.spots import Background, Limits, Seeds, measure_spots
+from asterism.server.segmentation.thresholds import begin_thresholds
 from asterism.server.simulation.simulate import Scene
 from tests.measure import tags
 from tests.measure.plain_chain import PlainChain
@@ -154,9 +156,9 @@ def parts_of_segment(rig: Rig, images: list[NDArray[np.uint8]]) -> dict[str, lis
     for image in 3 * images:
         level, noise = timed(background_of, image)
         seeds = (SEED_SIGMAS, SEED_LEAST)
-        timed(seed_thresholds, level, noise, *seeds, *image.shape, scratch.thresholds)
+        timed(begin_thresholds, level, noise, *seeds, image.shape[0], scratch.thresholds)
         tables = (scratch.runs, scratch.parent, scratch.components)
-        count, _ = timed(connect, image, scratch.thresholds, scratch.hot, *tables)
+        count, _ = timed(connect, image, scratch.thresholds, whole_of(image), *tables)
         limits = Limits(*seeds, plan.largest_radius_px, plan.masks)
         components, background = scratch.components[:count], Background(level, noise)
         seeds_of = Seeds(image, scratch.thresholds, False)

@@ -6,14 +6,15 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from asterism.protocol.geometry import Floats
-from asterism.server.segmentation.background import BLOCK_ROWS, background_of, seed_thresholds
+from asterism.server.segmentation.background import background_of
 from asterism.server.segmentation.crowds import MOST_COMPONENTS, MOST_RUNS
 from asterism.server.segmentation.opening import open_box, opening_room
-from asterism.server.segmentation.pixels import Box
+from asterism.server.segmentation.pixels import Box, whole_of
 from asterism.server.segmentation.segment import SEED_LEAST, SEED_SIGMAS, Scratch, segment
 from asterism.server.segmentation.spot_table import (
     FATE,
     MASKED,
+    MISFIT,
     NOISE,
     TOO_LARGE,
     UNEXPLAINED,
@@ -24,6 +25,7 @@ from asterism.server.segmentation.spot_table import (
     X,
     Y,
 )
+from asterism.server.segmentation.thresholds import BLOCK_ROWS, Thresholds, begin_thresholds, tell_box
 from tests.centres.rendering import Canvas
 
 HEIGHT, WIDTH = 384, 512
@@ -121,9 +123,10 @@ def seeds_without_fate(image: Image, spots: Floats) -> int:
     """Pixels above their seed threshold that lie in no spot's window."""
     height, width = image.shape
     level, noise = background_of(image)
-    thresholds = np.empty((-(-height // BLOCK_ROWS), width), np.uint8)
-    seed_thresholds(level, noise, SEED_SIGMAS, SEED_LEAST, height, width, thresholds)
-    above = image > np.repeat(thresholds, BLOCK_ROWS, axis=0)[:height]
+    thresholds = Thresholds.of(height, width)
+    begin_thresholds(level, noise, SEED_SIGMAS, SEED_LEAST, height, thresholds)
+    tell_box(thresholds, height, whole_of(image))
+    above = image > np.repeat(thresholds.rows, BLOCK_ROWS, axis=0)[:height]
     for x0, x1, y0, y1 in spots[:, [WX0, WX1, WY0, WY1]].astype(int):
         above[y0:y1, x0:x1] = False
     return int(above.sum())
@@ -163,6 +166,17 @@ def test_work_is_bounded(rng: np.random.Generator) -> None:
     for share in (0.02, 0.1, 0.5):
         image = np.where(rng.random((HEIGHT, WIDTH)) < share, rng.integers(60, 256, (HEIGHT, WIDTH)), 10)
         assert segment(image.astype(np.uint8), 12.0, NO_MASKS, scratch) < len(scratch.spots)
+
+
+def test_one_frame_leaves_nothing_for_the_next(rng: np.random.Generator) -> None:
+    scratch = Scratch.of(HEIGHT, WIDTH)
+    for kind in ("core", "soft", "core"):
+        image = Canvas(glare(kind, 120, rng)).ellipse(250, 100, 2.5).ellipse(254, 101, 2.5).expose(rng)
+        found = scratch.spots[: segment(image, 12.0, NO_MASKS, scratch)]
+        assert (found[:, FATE] == TOO_LARGE).any()
+        assert np.array_equal(found[:, :MISFIT], spots_of(image)[:, :MISFIT])
+        assert not scratch.painted.any()
+        assert not scratch.residue.any()
 
 
 def test_masks_hold_inside_glare(rng: np.random.Generator) -> None:

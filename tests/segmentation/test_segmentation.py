@@ -8,7 +8,7 @@ from scipy import ndimage
 from asterism.protocol.messages import Fate
 from asterism.server.centres.blobs import Blobs, find_blobs
 from asterism.server.centres.leaning_spots import refine_leaning
-from asterism.server.segmentation.background import BLOCK_ROWS, background_of, interpolate, seed_thresholds
+from asterism.server.segmentation.background import background_of, interpolate
 from asterism.server.segmentation.components import (
     AREA,
     COMPONENT_COLUMNS,
@@ -20,9 +20,10 @@ from asterism.server.segmentation.components import (
     Y0,
     Y1,
     connect,
-    hot_width,
 )
+from asterism.server.segmentation.pixels import whole_of
 from asterism.server.segmentation.segment import Scratch
+from asterism.server.segmentation.thresholds import BLOCK_ROWS, WORD, Thresholds, begin_thresholds, tell_box
 from tests.centres.rendering import Canvas
 
 NO_MASKS = np.empty((0, 4), np.int64)
@@ -32,6 +33,14 @@ def blobs_of(
     image: NDArray[np.uint8], largest: float = 12.0, masks: NDArray[np.int64] = NO_MASKS, estimator: str = "edge-model"
 ) -> Blobs:
     return find_blobs(image, largest, masks, estimator, Scratch.of(*image.shape))
+
+
+def told_by(rows: NDArray[np.uint8], height: int) -> Thresholds:
+    """Thresholds of which all are known."""
+    told = Thresholds.of(height, rows.shape[1])
+    told.rows[:], told.known[:] = rows, 1
+    told.least[:] = np.minimum.reduceat(rows, np.arange(0, rows.shape[1], WORD), axis=1)
+    return told
 
 
 def fates_near(blobs: Blobs, x: float, y: float, within: float = 3.0) -> list[str]:
@@ -61,8 +70,13 @@ def test_a_lamp_that_fills_a_tile_does_not_raise_its_threshold(rng: np.random.Ge
 def test_seed_thresholds_are_background_plus_sigmas_noise(rng: np.random.Generator) -> None:
     level, noise = rng.uniform(10, 60, (4, 5)), rng.uniform(0.5, 4, (4, 5))
     height, width = 500, 641
-    thresholds = np.empty((-(-height // BLOCK_ROWS), width), np.uint8)
-    seed_thresholds(level, noise, 5.0, 6.0, height, width, thresholds)
+    told = Thresholds.of(height, width)
+    begin_thresholds(level, noise, 5.0, 6.0, height, told)
+    tell_box(told, height, whole_of(np.empty((height, width), np.uint8)))
+    thresholds = told.rows
+    least = np.repeat(told.least, WORD, axis=1)[:, :width]
+    assert (thresholds >= least).all()
+    assert (thresholds - least <= 32).all()
     for block, x in [(0, 0), (7, 100), (31, 320), (40, 640), (62, 5)]:
         y = block * BLOCK_ROWS + 0.5 * (BLOCK_ROWS - 1)
         # The noise is added at the tiles' centres first, then both are interpolated.
@@ -74,15 +88,16 @@ def test_seed_thresholds_are_background_plus_sigmas_noise(rng: np.random.Generat
 
 
 def test_components_equal_scipys_labelling(rng: np.random.Generator) -> None:
-    for width in (64, 101, 130):
+    for width in (7, 64, 101, 130, 192):
         image = (
             (ndimage.gaussian_filter(rng.standard_normal((97, width)), 1.2) * 300 + 40).clip(0, 255).astype(np.uint8)
         )
         blocks = -(-97 // BLOCK_ROWS)
         thresholds = rng.integers(80, 100, (blocks, width)).astype(np.uint8)
-        hot, runs = np.zeros(hot_width(width), np.uint8), np.empty((5000, RUN_COLUMNS), np.int32)
+        runs = np.empty((5000, RUN_COLUMNS), np.int32)
         table = np.empty((1000, COMPONENT_COLUMNS), np.int32)
-        count, n_runs = connect(image, thresholds, hot, runs, np.empty(5000, np.int32), table)
+        told = told_by(thresholds, 97)
+        count, n_runs = connect(image, told, whole_of(image), runs, np.empty(5000, np.int32), table)
         above = image > np.repeat(thresholds, BLOCK_ROWS, axis=0)[:97]
         labels, expected = ndimage.label(above, structure=np.ones((3, 3)))
         assert count == expected
