@@ -69,7 +69,7 @@ def fit_clip(image, spot, neighbours, gain, pixels, out):
     The entries of ``out`` after the covariance are zero: this estimator does not tell of other light.
     """
     sums = np.empty(9)
-    _, n = gather_pixels(image, spot, neighbours, pixels)
+    n = gather_pixels(image, spot, neighbours, pixels)
     _add_up(pixels, n, spot, gain, sums)
     out[:] = 0.0
     s = sums[0]

@@ -197,12 +197,13 @@ def _look(image, spots, k, centre, neighbours, room):
 
 
 @compiled
-def find_common_light(image, spots, robots, centres, covariances, commons):
+def find_common_light(image, spots, robots, centres, covariances, widened, commons):
     """Fill ``commons`` (m, 3) xx, xy, yy px^2: how far, one sigma, all spots of a robot may be off together, 0 where no
     light beside them says so; and widen the ``covariances`` of single spots by what leans on them alone.
 
     ``spots`` is the spot table; ``robots`` (m, 6) are the rows of the spots of every robot's LEDs, -1 for those not
-    seen; ``centres`` (n, 2) px and ``covariances`` (n, 3) px^2 are those of the spots. Returns how many were widened.
+    seen; ``centres`` (n, 2) px and ``covariances`` (n, 3) px^2 are those of the spots; those that are ``widened`` (n,)
+    are told. Returns how many that are.
     """
     commons[:, :] = 0.0
     order, places, widest = in_order(spots)
@@ -211,7 +212,7 @@ def find_common_light(image, spots, robots, centres, covariances, commons):
         if k >= 0:
             largest = max(largest, spots[k, SEMI_A])
     room = RingRoom(room_for((2.0 * (largest + FARTHEST_PX) + 4.0) ** 2), np.empty(RING_SUMS), np.empty((5, 6)))
-    neighbours, other, widened = np.empty((MOST_NEIGHBOURS, 3)), np.empty(6), 0
+    neighbours, other, count_widened = np.empty((MOST_NEIGHBOURS, 3)), np.empty(6), 0
     floor, excess = usual_surroundings(spots)
     shifts, rings = np.empty((robots.shape[1], 4)), np.empty((robots.shape[1], 3))
     for robot in range(robots.shape[0]):
@@ -237,5 +238,7 @@ def find_common_light(image, spots, robots, centres, covariances, commons):
             k = robots[robot, led]
             if k >= 0:
                 rings[led, 0], rings[led, 1] = rings[led, 0] - x, rings[led, 1] - y
-                widened += widen(spots[k], rings[led], floor, excess, covariances[k])
-    return widened
+                if widen(spots[k], rings[led], floor, excess, covariances[k]):
+                    widened[k] = True
+                    count_widened += 1
+    return count_widened

@@ -45,10 +45,11 @@ from asterism.server.centres.edge_sums import (
     Fitted,
     add_up_centre,
     add_up_shape,
+    edge_rows,
 )
 from asterism.server.centres.even_profile import add_up_freed, even_room, lay_out, learn_profile, subtract_profile
 from asterism.server.centres.oddness import Moved, Odd, judge, take_step
-from asterism.server.centres.window import gather_pixels
+from asterism.server.centres.window import gather_near, gather_pixels
 from asterism.server.compiled import compiled
 from asterism.server.segmentation.pixels import room_for
 from asterism.server.segmentation.spot_table import (
@@ -84,11 +85,14 @@ FREE_RAMP = 0.3  # more, from which on it counts in full
 
 
 class EdgeRoom(NamedTuple):
-    """Room for the fit of a spot: ``pixels`` of its window as in `pixels.room_for`, ``sums`` (SUMS,), the model's
-    parameters ``p`` (PARAMETERS,), ``m`` (5, 5) and ``q`` (5,), a step of its shape, and `even_profile.EvenRoom`.
+    """Room for the fit of a spot: ``pixels`` of its window and those ``near`` its edge as in `pixels.room_for`,
+    ``rows`` as in `edge_sums.edge_rows`, ``sums`` (SUMS,), the model's parameters ``p`` (PARAMETERS,), ``m`` (6, 5) and
+    ``q`` (5,), a step of its shape, and `even_profile.EvenRoom`.
     """
 
     pixels: Any
+    near: Any
+    rows: Any
     sums: Any
     p: Any
     m: Any
@@ -114,9 +118,11 @@ def edge_room(cells):
     """Empty `EdgeRoom` for windows of so many pixels."""
     return EdgeRoom(
         room_for(cells),
+        room_for(cells),
+        edge_rows(),
         np.empty(SUMS),
         np.empty(PARAMETERS),
-        np.empty((5, 5)),
+        np.empty((6, 5)),
         np.empty(5),
         even_room(cells),
     )
@@ -147,7 +153,7 @@ def _fit_shape(near, p, fitted, room):
     saturated = fitted.softness > 0.0
     least = LEAST_SATURATED_STEPS if saturated else 1
     for trial in range(SATURATED_SHAPE_STEPS if saturated else SHAPE_STEPS):
-        add_up_shape(room.pixels, near, p, fitted, trial > 0, room.sums)
+        add_up_shape(room.near, near, p, fitted, trial > 0, room.rows, room.sums)
         improve_centre(room.sums, p)
         long = improve_shape(room.sums, p, fitted.spot[HEIGHT], room.m, room.q)
         if not long and trial + 1 >= least:
@@ -183,11 +189,11 @@ def fit_edge_model(image, spot, neighbours, gain, room, out):
     count, from 0 where the ellipse alone explains the spot to 1.
     """
     sums, p = room.sums, room.p
-    near, n = gather_pixels(image, spot, neighbours, room.pixels)
+    near, n = gather_near(image, spot, neighbours, room.near), gather_pixels(image, spot, neighbours, room.pixels)
     fitted = _start(spot, gain, p)
     _fit_shape(near, p, fitted, room)
     # Away from the edge there is little to learn, but of other light: only the last step looks at it.
-    add_up_centre(room.pixels, n, p, fitted, sums)
+    add_up_centre(room.pixels, n, p, fitted, room.rows, sums)
     xx, xy, yy, told = improve_centre(sums, p)
     misfit = sums[CHI2] / max(sums[COUNT] - PARAMETERS, 1.0)
     fit = Freed(xx, xy, yy, told, Odd(misfit, 0.0, 0.0, 0.0, 0.0), LIT_PARAMETERS)

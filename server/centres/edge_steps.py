@@ -48,7 +48,6 @@ from asterism.server.centres.edge_sums import (
     SY,
 )
 from asterism.server.compiled import compiled
-from asterism.server.pose.planar import cholesky_solve
 
 BLUR_PX = 0.85  # expected blur; the fit finds the spot's own
 BLUR_SIGMA = 0.15  # how far the fit may go from the expected blur and from the size that the moments say, softly
@@ -72,8 +71,32 @@ def _solve2(xx, xy, yy, rx, ry):
 
 
 @compiled
+def _solve5(m, q, per):
+    """Solve m x = q for symmetric positive definite m (5, 5; its lower triangle), in place; q becomes x, ``per`` (5,)
+    one over the pivots. False if m is not that. Elimination without roots, and with few quotients: they take longest.
+    """
+    for k in range(5):
+        if not m[k, k] > 0.0:
+            return False
+        per[k] = 1.0 / m[k, k]
+        for i in range(k + 1, 5):
+            share = m[i, k] * per[k]
+            q[i] -= share * q[k]
+            for j in range(k + 1, i + 1):
+                m[i, j] -= share * m[j, k]
+    for k in range(4, -1, -1):
+        for i in range(k + 1, 5):
+            q[k] -= m[i, k] * q[i]
+        q[k] *= per[k]
+    return True
+
+
+@compiled
 def improve_shape(sums, p, start_rise, m, q):
-    """One scoring step of the even block; whether it was so long that there should be another."""
+    """One scoring step of the even block; whether it was so long that there should be another.
+
+    ``m`` (6, 5) and ``q`` (5,) are room.
+    """
     m[0, 0], m[1, 0], m[2, 0], m[3, 0], m[4, 0] = sums[M_LL], sums[M_LR], sums[M_LA], sums[M_LB], sums[M_LW]
     m[1, 1], m[2, 1], m[3, 1], m[4, 1] = sums[M_RR], sums[M_RA], sums[M_RB], sums[M_RW]
     m[2, 2], m[3, 2], m[4, 2] = sums[M_AA], sums[M_AB], sums[M_AW]
@@ -89,7 +112,7 @@ def improve_shape(sums, p, start_rise, m, q):
     q[4] = sums[Q_W] - blur_information * (p[BLUR] - BLUR_PX)
     for k in range(5):
         m[k, k] *= 1.0 + 1e-9
-    if cholesky_solve(m, q):
+    if _solve5(m, q, m[5]):
         # Light that the ceiling cuts off, size and blur are told apart by little: long steps lead in circles.
         most = max(abs(q[1]) / (0.3 * p[RISE]), abs(q[2]) / 0.2, abs(q[3]) / 0.2, abs(q[4]) / (0.3 * p[BLUR]))
         if most > 1.0:

@@ -291,17 +291,21 @@ def _take(spot, fit, light, room, out):
 
 
 @compiled
-def _brightest_left(pixels, count, like, room):
-    """Fill ``like`` with a small light where the residuals leave most: in the middle of what nine pixels tell."""
+def _brightest_left(pixels, count, width, like, room):
+    """Fill ``like`` with a small light where the residuals leave most: in the middle of what nine pixels tell.
+
+    ``pixels`` are those of a box, row by row of so many.
+    """
     xs, ys, table = pixels[0], pixels[1], room.table
     best, at = 0.0, -1
     for i in range(count):
         if table[WEIGHT, i] <= 0.0 or table[RESIDUAL, i] <= 0.0:
             continue
         total = 0.0
-        for j in range(count):
-            if abs(xs[i] - xs[j]) < 1.5 and abs(ys[i] - ys[j]) < 1.5:
-                total += table[RESIDUAL, j] * math.sqrt(table[WEIGHT, j])
+        for row in (-width, 0, width):
+            for j in range(max(i + row - 1, 0), min(i + row + 2, count)):
+                if abs(xs[i] - xs[j]) < 1.5 and abs(ys[i] - ys[j]) < 1.5:
+                    total += table[RESIDUAL, j] * math.sqrt(table[WEIGHT, j])
         if total > best:
             best, at = total, i
     if at < 0:
@@ -312,15 +316,15 @@ def _brightest_left(pixels, count, like, room):
 
 
 @compiled
-def _fit(pixels, count, spot, gain, room):
-    """Fit two lights from where they begin, and a third where they leave too much."""
+def _fit(pixels, count, width, spot, gain, room):
+    """Fit two lights to the pixels of a box so many wide, from where they begin; a third where they leave too much."""
     fit = _descend(pixels, count, spot, gain, room, 2)
     k = PLANE + 2 * OF_A_LIGHT
     if fit.chi2 < GOOD * (fit.number - k):
         return fit
     like = np.empty(BLUR)
     look(pixels, count, 2, room.p, spot[NOISE] * spot[NOISE] + 0.02, gain, room.table)
-    if not _brightest_left(pixels, count, like, room):
+    if not _brightest_left(pixels, count, width, like, room):
         return fit
     room.expected[PLANE : PLANE + OF_A_LIGHT] = room.p[PLANE : PLANE + OF_A_LIGHT]
     _add_light(2, like, 1.0, 1.0, HAZE_SIGMA, room)
@@ -368,7 +372,7 @@ def fit_leaning(image, spot, other, neighbours, shape, blur, gain, out):
         _like(other, spot, like)
         like[RISE] = min(like[RISE], BRIGHTEST * spot[HEIGHT])
         _add_light(1, like, OTHER_SIZE_SIGMA, 1.2 * blur, HAZE_SIGMA, room)
-        fit = _fit(pixels, count, spot, gain, room)
+        fit = _fit(pixels, count, x1 - x0, spot, gain, room)
         # Two lights as bright in one spot may have shared it wrongly.
         parted = is_split or room.p[second + RISE] < ALIKE * room.p[PLANE + RISE]
         # A long one that no sibling vouches for may still be both.
@@ -387,7 +391,7 @@ def fit_leaning(image, spot, other, neighbours, shape, blur, gain, out):
     _add_light(0, like, shape[3], blur, BLUR_SIGMA, room)
     like[CX], like[CY], like[RISE] = like[CX] - 2.0 * along_x, like[CY] - 2.0 * along_y, 0.6 * spot[HEIGHT]
     _add_light(1, like, OTHER_SIZE_SIGMA, 1.2 * blur, HAZE_SIGMA, room)
-    fit = _fit(pixels, count, spot, gain, room)
+    fit = _fit(pixels, count, x1 - x0, spot, gain, room)
     # Of two lights in one spot the brighter is the LED's; it must be much brighter.
     rise, other_rise = room.p[PLANE + RISE], room.p[second + RISE]
     led = 0 if rise >= other_rise else 1

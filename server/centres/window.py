@@ -27,22 +27,27 @@ def leave_out(pixels, count, neighbours, middle_x, middle_y):
 
 @compiled
 def gather_pixels(image, spot, neighbours, pixels):
-    """The pixels of the spot's window, those near its edge first: where these end, and where all do.
+    """The pixels of the spot's window, told from its middle: how many.
 
-    ``pixels`` is room for the window (see `pixels.room_for`). Both parts are padded with pixels that do not count, nor
-    do those of ``neighbours`` (k, 3) x, y, radius px.
+    ``pixels`` is room for the window (see `pixels.room_for`). They are padded with pixels that do not count, nor do
+    those of ``neighbours`` (k, 3) x, y, radius px.
     """
-    x0, x1, y0, y1 = int(spot[WX0]), int(spot[WX1]), int(spot[WY0]), int(spot[WY1])
-    middle_x, middle_y = 0.5 * (spot[WX0] + spot[WX1] - 1.0), 0.5 * (spot[WY0] + spot[WY1] - 1.0)
+    return _gather(image, spot, Box(int(spot[WX0]), int(spot[WX1]), int(spot[WY0]), int(spot[WY1])), neighbours, pixels)
+
+
+@compiled
+def gather_near(image, spot, neighbours, pixels):
+    """Those pixels of the spot's window that are near its edge or inside it; as `gather_pixels`."""
     reach = SQUARE * (spot[SEMI_A] + NEAR_PX)
-    left, right = max(x0, math.ceil(spot[X] - reach)), min(x1, math.floor(spot[X] + reach) + 1)
-    top, bottom = max(y0, math.ceil(spot[Y] - reach)), min(y1, math.floor(spot[Y] + reach) + 1)
-    gathered = gather_box(image, Box(left, right, top, bottom), middle_x, middle_y, pixels, 0)
-    near = pad(pixels, 0, gathered)
-    gathered = gather_box(image, Box(x0, x1, y0, top), middle_x, middle_y, pixels, near)
-    gathered = gather_box(image, Box(x0, x1, bottom, y1), middle_x, middle_y, pixels, gathered)
-    gathered = gather_box(image, Box(x0, left, top, bottom), middle_x, middle_y, pixels, gathered)
-    gathered = gather_box(image, Box(right, x1, top, bottom), middle_x, middle_y, pixels, gathered)
-    count = pad(pixels, near, gathered)
+    x0, x1 = max(int(spot[WX0]), math.ceil(spot[X] - reach)), min(int(spot[WX1]), math.floor(spot[X] + reach) + 1)
+    y0, y1 = max(int(spot[WY0]), math.ceil(spot[Y] - reach)), min(int(spot[WY1]), math.floor(spot[Y] + reach) + 1)
+    return _gather(image, spot, Box(x0, x1, y0, y1), neighbours, pixels)
+
+
+@compiled
+def _gather(image, spot, box, neighbours, pixels):
+    """The pixels of a box, told from the middle of the spot's window."""
+    middle_x, middle_y = 0.5 * (spot[WX0] + spot[WX1] - 1.0), 0.5 * (spot[WY0] + spot[WY1] - 1.0)
+    count = pad(pixels, 0, gather_box(image, box, middle_x, middle_y, pixels, 0))
     leave_out(pixels, count, neighbours, middle_x, middle_y)
-    return near, count
+    return count

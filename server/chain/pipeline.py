@@ -7,7 +7,7 @@ from asterism.protocol.camera import check_image_size
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import Rig
-from asterism.server.centres.blobs import Blobs, find_blobs
+from asterism.server.centres.blobs import Blobs, Ints, find_blobs
 from asterism.server.centres.common_light import find_common_light
 from asterism.server.centres.compression import is_compressed
 from asterism.server.centres.leaning_spots import refine_leaning
@@ -22,7 +22,7 @@ from asterism.server.pose.choose import Choices, choose
 from asterism.server.pose.common_noise import common_noise
 from asterism.server.pose.common_shift import add_common_shifts
 from asterism.server.pose.led_doubt import own_scatter
-from asterism.server.pose.lens import FX, undistort
+from asterism.server.pose.lens import FX, undistort, undistort_again
 from asterism.server.pose.matched import Matched, Measured
 from asterism.server.pose.rolling import Setup, at_own_rows, solve_rolling
 from asterism.server.pose.solve import Solutions, solve_robots
@@ -45,18 +45,19 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     blobs = _blobs(image, plan)
     seen = rays_of(blobs, plan)
     matches = identify(seen, plan, _at_own_rows(known, frame, plan), frame.exposed_ns)
+    claimed = _claimed(seen, matches.found)
     # What compression leaves beside a spot is no light.
     leaning = bool(np.any(blobs.table[:, SHOULDER]))
     rounded = (leaning or bool(np.any(blobs.table[:, NOISE] < QUIET))) and is_compressed(image)
     if leaning and not rounded:
-        _part_leaning(image, blobs, seen, matches.found, plan)
-    commons = _other_light(image, blobs, seen, matches.found, plan, rounded)
+        _part_leaning(image, blobs, seen, matches.found, claimed, plan)
+    commons = _other_light(image, blobs, seen, matches.found, claimed, plan, rounded)
     if rounded and plan.shutter is None:
-        _take_common_noise(blobs, seen, matches.found, plan, learned)
+        _take_common_noise(blobs, seen, matches.found, claimed, plan, learned)
     if plan.some_scatter:
-        _take_known_light(image, blobs, seen, matches.found, plan)
+        _take_known_light(image, blobs, seen, matches.found, claimed, plan)
     if plan.shutter is None:
-        solutions = _solve(image, blobs, seen, matches.found, plan, learned, commons)
+        solutions = _solve(image, blobs, seen, matches.found, claimed, plan, learned, commons)
         choices = _choose(frame, seen, matches.found, solutions, plan, known)
     else:
         solutions, choices, known = _solve_rolling(frame, blobs, seen, matches.found, plan, known, commons)
@@ -85,20 +86,28 @@ def _blobs(image: NDArray[np.uint8], plan: Plan) -> Blobs:
     return blobs
 
 
-def _part_leaning(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> None:
+def _claimed(seen: Rays, found: Matched) -> Ints:
+    """The rows (m, 6) of the spots that are the LEDs of the robots found, -1 for LEDs not seen."""
+    return np.where(found.assignment >= 0, seen.rows.take(found.assignment), -1)
+
+
+def _part_leaning(
+    image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, claimed: Ints, plan: Plan
+) -> None:
     """Centre those robots' spots anew that other light leans on: in the blobs and in the rays."""
     # What LEDs whose light is known are strange by is their own.
-    leaning = found.assignment[~plan.has_scatter[found.robots]]
-    claimed = np.where(leaning >= 0, seen.rows[leaning], -1)
-    if refine_leaning(image, blobs.table, claimed, blobs.centres_px, blobs.covariances_px2):
+    leaning = claimed[~plan.has_scatter[found.robots]]
+    if refine_leaning(image, blobs.table, leaning, blobs.centres_px, blobs.covariances_px2):
         undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)
 
 
-def _take_known_light(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan) -> None:
+def _take_known_light(
+    image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, claimed: Ints, plan: Plan
+) -> None:
     """Spots of LEDs whose light is known have their centres, and in the rays their scatter, as their led.yaml says."""
-    weighted = found.assignment[plan.is_weighted[found.robots]]
+    weighted = claimed[plan.is_weighted[found.robots]]
     if len(weighted):
-        weigh_spots(image, blobs.table, np.where(weighted >= 0, seen.rows[weighted], -1), blobs.centres_px)
+        weigh_spots(image, blobs.table, weighted, blobs.centres_px)
     for k in np.flatnonzero(plan.has_scatter[found.robots]).tolist():
         rays = found.assignment[k][found.assignment[k] >= 0]
         spots = seen.rows[rays]
@@ -111,7 +120,7 @@ def _take_known_light(image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found:
 
 
 def _other_light(
-    image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan, rounded: bool
+    image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, claimed: Ints, plan: Plan, rounded: bool
 ) -> Floats:
     """What light beside all LEDs of a robot may have moved their spots by together: covariances (m, 3) of rays. What
     leans on single ones is in their own covariances after it, in the blobs and in the rays, unless the picture is
@@ -119,14 +128,12 @@ def _other_light(
 
     LEDs whose light is known (`led.yaml`) have what they spill in what is known of them.
     """
-    robots = seen.rows[found.assignment]
-    robots[found.assignment < 0] = -1
-    if plan.some_scatter:
-        robots[plan.has_scatter[found.robots]] = -1
-    commons = np.empty((len(robots), 3))
+    robots = np.where(plan.has_scatter[found.robots, None], -1, claimed) if plan.some_scatter else claimed
+    commons, widened = np.empty((len(robots), 3)), np.zeros(len(blobs), np.bool_)
     covariances = blobs.covariances_px2.copy() if rounded else blobs.covariances_px2
-    if find_common_light(image, blobs.table, robots, blobs.centres_px, covariances, commons) and not rounded:
-        undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)
+    if find_common_light(image, blobs.table, robots, blobs.centres_px, covariances, widened, commons) and not rounded:
+        pixels = seen.rows, blobs.centres_px, covariances
+        undistort_again(plan.lens, *pixels, widened, seen.rays, seen.covariances)
     if np.count_nonzero(commons):
         some = np.flatnonzero(commons[:, 0])
         # Where each is seen: at one of its LEDs.
@@ -138,12 +145,19 @@ def _other_light(
 
 
 def _solve(
-    image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan, learned: Floats, commons: Floats
+    image: NDArray[np.uint8],
+    blobs: Blobs,
+    seen: Rays,
+    found: Matched,
+    claimed: Ints,
+    plan: Plan,
+    learned: Floats,
+    commons: Floats,
 ) -> Solutions:
     """Both minima of every matched robot. An LED whose spot turns out to be odd leaves the assignment."""
     measured = Measured(seen.rays, seen.covariances, blobs.centres_px[seen.rows])
     solutions = Solutions.room(len(found.ts), learned[found.robots])
-    streaks = _straighten(image, blobs, seen, found, plan, measured)
+    streaks = _straighten(image, blobs, found, claimed, plan, measured)
     solve_robots(plan.lens, plan.constellations, found, measured, solutions)
     if streaks is not None:
         solutions.covariances[...] += streaks[:, None]
@@ -151,24 +165,22 @@ def _solve(
     return solutions
 
 
-def _take_common_noise(blobs: Blobs, seen: Rays, found: Matched, plan: Plan, learned: Floats) -> None:
+def _take_common_noise(blobs: Blobs, seen: Rays, found: Matched, claimed: Ints, plan: Plan, learned: Floats) -> None:
     """Widen all spots by what the robots' residuals show beyond their covariances; in the blobs and in the rays."""
     tried = found._replace(assignment=found.assignment.copy())
     measured = Measured(seen.rays, seen.covariances, blobs.centres_px[seen.rows])
     solutions = Solutions.room(len(found.ts), learned[found.robots])
     solve_robots(plan.lens, plan.constellations, tried, measured, solutions)
-    rows = np.where(found.assignment >= 0, seen.rows[found.assignment], -1)
-    more = common_noise(solutions, rows, blobs.covariances_px2)
+    more = common_noise(solutions, claimed, blobs.covariances_px2)
     if more > 0.0:
         blobs.covariances_px2[seen.rows, ::2] += more
         undistort(plan.lens, blobs.centres_px[seen.rows], blobs.covariances_px2[seen.rows], seen.rays, seen.covariances)
 
 
 def _straighten(
-    image: NDArray[np.uint8], blobs: Blobs, seen: Rays, found: Matched, plan: Plan, measured: Measured
+    image: NDArray[np.uint8], blobs: Blobs, found: Matched, claimed: Ints, plan: Plan, measured: Measured
 ) -> Floats | None:
     """Put spots that are streaks where they would be at mid-exposure; what that leaves open (m, 6, 6) of the poses."""
-    claimed = np.where(found.assignment >= 0, seen.rows[found.assignment], -1)
     moments = np.empty((*claimed.shape, 3))
     if not streak_moments(image, blobs.table, claimed, found.rotations, found.ts, moments):
         return None

@@ -47,17 +47,27 @@ def undistort_kept(lens, focal, blobs, seen):
     """Fill `Rays` with the spots of `Spotted` whose fate is UNEXPLAINED, without those that no ray of the lens model
     reaches; returns how many there are.
     """
-    count = 0
+    kept = 0
     for k in range(blobs.fates.shape[0]):
-        if blobs.fates[k] != UNEXPLAINED:
-            continue
-        one, this = slice(count, count + 1), slice(k, k + 1)
-        undistort(lens, blobs.centres_px[this], blobs.covariances_px2[this], seen.rays[one], seen.covariances[one])
-        if math.isfinite(seen.rays[count, 0]):
-            seen.rows[count] = k
-            seen.flat[count, 0], seen.flat[count, 1] = seen.rays[count, 0] * focal, seen.rays[count, 1] * -focal
-            seen.variances[count] = 0.5 * (seen.covariances[count, 0] + seen.covariances[count, 2])
-            seen.heights[count], seen.radii[count] = blobs.heights[k], blobs.radii_px[k]
+        if blobs.fates[k] == UNEXPLAINED:
+            seen.rows[kept] = k
+            seen.flat[kept, 0], seen.flat[kept, 1] = blobs.centres_px[k, 0], blobs.centres_px[k, 1]
+            for i in range(3):
+                seen.covariances[kept, i] = blobs.covariances_px2[k, i]
+            kept += 1
+    spreads = seen.covariances[:kept]
+    undistort(lens, seen.flat[:kept], spreads, seen.rays, spreads)
+    count = 0
+    for k in range(kept):
+        x, y = seen.rays[k, 0], seen.rays[k, 1]
+        if math.isfinite(x):
+            seen.rows[count] = row = seen.rows[k]
+            seen.rays[count, 0], seen.rays[count, 1] = x, y
+            seen.flat[count, 0], seen.flat[count, 1] = x * focal, y * -focal
+            for i in range(3):
+                seen.covariances[count, i] = seen.covariances[k, i]
+            seen.variances[count] = 0.5 * (seen.covariances[k, 0] + seen.covariances[k, 2])
+            seen.heights[count], seen.radii[count] = blobs.heights[row], blobs.radii_px[row]
             count += 1
     return count
 
@@ -69,4 +79,4 @@ def rays_of(blobs: Blobs, plan: Plan) -> Rays:
     room = Rays(rows, flat, rays, covariances, np.empty(n), np.empty(n), np.empty(n))
     spotted = Spotted(blobs.fates, blobs.centres_px, blobs.covariances_px2, blobs.heights, blobs.radii_px)
     count = undistort_kept(plan.lens, plan.focal, spotted, room)
-    return room.first(count)
+    return room if count == n else room.first(count)

@@ -73,7 +73,8 @@ def centred(rng: np.random.Generator, other: Other | None) -> tuple[Floats, Floa
         robots = np.array([found[0] if len(found) == 1 else -1 for found in rows]).reshape(ROBOTS, LEDS)
         before = blobs.covariances_px2.copy()
         refine_leaning(image, blobs.table, robots, blobs.centres_px, blobs.covariances_px2)
-        find_common_light(image, blobs.table, robots, blobs.centres_px, blobs.covariances_px2, np.empty((ROBOTS, 3)))
+        widened, commons = np.zeros(len(blobs), np.bool_), np.empty((ROBOTS, 3))
+        find_common_light(image, blobs.table, robots, blobs.centres_px, blobs.covariances_px2, widened, commons)
         for row, centre in zip(robots.ravel(), centres, strict=True):
             if row >= 0:
                 xx, xy, yy = blobs.covariances_px2[row]
