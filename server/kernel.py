@@ -35,6 +35,8 @@ class _Library(JITCodeLibrary):
     numba links all that is called, and optimizes it once more at every level of calls.
     """
 
+    _final_module: Any
+
     def __init__(self, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
         self.is_large = False
