@@ -23,6 +23,8 @@ from numba.core.registry import CPUDispatcher
 from numba.extending import overload
 from numba.np import arrayobj
 
+from asterism.server.kernel_references import without_borrowed
+
 Types = tuple[Any, ...]
 LARGE = 300  # instructions: several times what LLVM would inline
 
@@ -32,6 +34,8 @@ class _Library(JITCodeLibrary):
 
     numba links all that is called, and optimizes it once more at every level of calls.
     """
+
+    _final_module: Any
 
     def __init__(self, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
@@ -46,6 +50,16 @@ class _Library(JITCodeLibrary):
                 self.left_out[library] = None
                 return
         super().add_linking_library(library)
+
+    def _optimize_final_module(self) -> None:
+        passes = self._codegen._module_pass_manager
+        # What is small is brought into its callers first, so that what is counted in one is counted in the other.
+        manager, builder = passes(
+            loop_vectorize=self._codegen._loopvect, slp_vectorize=False, opt=self._codegen._opt_level, cost="cheap"
+        )
+        manager.run(self._final_module, builder)
+        self._final_module = without_borrowed(self._final_module)
+        super()._optimize_final_module()
 
 
 class _PartLibrary(_Library):

@@ -8,31 +8,54 @@ from asterism.server.centres.blobs import Ints
 from asterism.server.identity import assign
 from asterism.server.identity.evidence import LEAST_LIKE, MOST_LIKE, Version, best_version
 from asterism.server.identity.fours import fours
-from asterism.server.identity.hypotheses import COST, ROBOT, Found, medians_of, rivals_of
+from asterism.server.identity.hypotheses import COST, ROBOT, Found, fill_worse, matched_of, medians_of, rivals_of
 from asterism.server.identity.hypotheses import HEIGHT as FIT_HEIGHT
 from asterism.server.identity.loose import loose, tolerance_px
 from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan
-from asterism.server.identity.search import MIRROR_RATIO, searched
-from asterism.server.pose.fit import CHI2, LEDS, SYSTEMATIC_PX, median_of
+from asterism.server.identity.search import MIRROR_RATIO, Results, searched
+from asterism.server.pose.fit import LEDS, SYSTEMATIC_PX, median_of
+from asterism.server.pose.matched import Matched
 
 PRIOR_SYSTEMATIC_PX = 0.08  # what to expect of calibration and LED positions before a robot was seen
 
 BESIDE = 4.0  # sigmas of a ruler's errors
 
 
-def find(spots: Spots, plan: Plan, known: NDArray[np.bool_], misfits: Floats) -> tuple[list[Found], dict[int, str]]:
+def find(spots: Spots, plan: Plan, known: NDArray[np.bool_], misfits: Floats) -> tuple[Matched, dict[int, str]]:
     """Who is among the free spots, but for the robots that are ``known``; and why a robot is in doubt.
 
     ``misfits`` (robots,) m: one sigma of what each robot's LEDs are off as far as that was learned, 0 for nothing.
     """
     free = spots.free.copy()
-    claimed = known.copy()
-    brightness = np.zeros(len(known))
     # A robot that was followed to its place has no rival: only a much brighter one would count.
-    brightness[known] = np.inf
-    claims, pending = searched(spots, plan, claimed, brightness, 5)
+    brightness = np.where(known, np.inf, 0.0)
+    claims, pending = searched(spots, plan, known.copy(), brightness, 5)
     sigma = assign.systematic_sigma(claims.values[:, COST], SYSTEMATIC_PX, PRIOR_SYSTEMATIC_PX)
+    # With what the other robots' fits have told, a fit may look worse than it did.
+    worse = np.empty(len(claims.spots), np.bool_)
+    some_worse = fill_worse(spots.variances, claims, sigma, plan.focal, worse)
+    wanted = len(known) - int(np.count_nonzero(known))
+    if (
+        len(claims.spots) == wanted
+        and not len(pending.spots)
+        and not some_worse
+        and _rivals(spots, claims.spots)[0] < 4
+    ):
+        return Matched(claims.values[:, ROBOT].astype(np.int64), claims.spots, claims.rotations, claims.ts), {}
+    found, doubts = _decided(spots, free, plan, known, misfits, Results(claims, pending), sigma, worse)
+    return matched_of(found), doubts
+
+
+def _decided(
+    spots: Spots, free: NDArray[np.bool_], plan: Plan, known: NDArray[np.bool_], misfits: Floats, told: Results,
+    sigma: float, worse: NDArray[np.bool_],
+) -> tuple[list[Found], dict[int, str]]:  # fmt: skip
+    """Which hypotheses of a search hold, and what a looser one finds of the robots that are left.
+
+    ``free`` are the spots that were so before it; ``worse`` (m,) the claims that fit no more with ``sigma``, px.
+    """
+    claims, pending = told
     wanted = len(known) - int(np.count_nonzero(known))
     claim_of = {int(robot): k for k, robot in enumerate(claims.values[:, ROBOT].tolist())}
     taken = set(claims.spots.ravel().tolist())
@@ -52,12 +75,7 @@ def find(spots: Spots, plan: Plan, known: NDArray[np.bool_], misfits: Floats) ->
         hypotheses += _scored(robot, labels, sigma, spots, plan, wanted)
         if robot in claim_of:
             disputed.add(robot)
-    # With what the other robots' fits have told, a fit may look worse than it did.
-    own = np.empty(len(claims.spots))
-    medians_of(spots.variances, claims.spots, own)
-    worse = claims.values[:, COST] * SYSTEMATIC_PX**2 > CHI2[LEDS] * (sigma**2 + own * plan.focal**2)
-    if np.count_nonzero(worse):
-        disputed |= {robot for robot, k in claim_of.items() if worse[k]}
+    disputed |= {robot for robot, k in claim_of.items() if worse[k]}
     for robot in sorted(disputed):
         hypotheses += _scored(robot, claims.spots[claim_of[robot]], sigma, spots, plan, wanted)
     chosen, doubts = assign.assign(hypotheses)
@@ -112,10 +130,8 @@ def _outshone(spots: Spots, plan: Plan, sigma_px: float, found: list[Found]) -> 
     """
     if not found:
         return set()
-    labels, medians = np.array([entry[1] for entry in found]), np.empty(len(found))
-    usable = np.empty(len(spots.heights), np.bool_)
-    medians_of(spots.heights, labels, medians)
-    if rivals_of(spots.heights, labels, MIRROR_RATIO, medians, usable) < 4:
+    rivals, medians, usable = _rivals(spots, np.array([entry[1] for entry in found]))
+    if rivals < 4:
         return set()
     heights = dict(zip((entry[0] for entry in found), medians.tolist(), strict=True))
     brightness = np.full(len(plan.layouts), np.inf)  # robots that were not found are of no interest here
@@ -130,6 +146,15 @@ def _outshone(spots: Spots, plan: Plan, sigma_px: float, found: list[Found]) -> 
             if rival.score > assign.RIVAL and rival.height * MIRROR_RATIO > heights[robot]:
                 outshone.add(robot)
     return outshone
+
+
+def _rivals(spots: Spots, labels: Ints) -> tuple[int, Floats, NDArray[np.bool_]]:
+    """How many spots are much brighter than the dimmest of robots that were found, ``labels`` (m, 6) their spots; the
+    median heights (m,) of these, and the spots (n,) that may show them elsewhere.
+    """
+    medians, usable = np.empty(len(labels)), np.empty(len(spots.heights), np.bool_)
+    medians_of(spots.heights, labels, medians)
+    return rivals_of(spots.heights, labels, MIRROR_RATIO, medians, usable), medians, usable
 
 
 def _scored(

@@ -1,5 +1,6 @@
 """Hypotheses of a search: which robot's LEDs which spots may be, with the pose that fits them."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -7,7 +8,8 @@ from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
-from asterism.server.pose.fit import LEDS, median_of
+from asterism.server.pose.fit import CHI2, LEDS, SYSTEMATIC_PX, median_of
+from asterism.server.pose.matched import Matched
 
 Ints = NDArray[np.int64]
 
@@ -66,6 +68,29 @@ def keep(fits, labels, robot, count, cost, height, rotation, t):
     fits.ts[slot] = t
     fits.filled[0] = slot + 1
     return True
+
+
+def matched_of(found: Sequence[Found]) -> Matched:
+    """Those robots as arrays."""
+    matched = Matched.room(len(found))
+    for k, (robot, labels, rotation, t) in enumerate(found):
+        matched.robots[k], matched.assignment[k], matched.rotations[k], matched.ts[k] = robot, labels, rotation, t
+    return matched
+
+
+@compiled
+def fill_worse(variances, fits, sigma_px, focal, worse):
+    """Fill ``worse`` (m,): which `Fits` of six LEDs do not fit where all else is off by ``sigma_px``; whether any.
+
+    ``variances`` (n,) are those of the spots.
+    """
+    some = False
+    for k in range(worse.shape[0]):
+        own = median_of(variances, fits.spots[k])
+        cost_px2 = fits.values[k, COST] * SYSTEMATIC_PX**2
+        worse[k] = cost_px2 > CHI2[LEDS] * (sigma_px**2 + own * focal**2)
+        some |= worse[k]
+    return some
 
 
 @compiled

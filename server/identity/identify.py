@@ -13,7 +13,6 @@ from asterism.server.identity.fours import DOUBT
 from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import Plan
 from asterism.server.identity.rays import Rays
-from asterism.server.pose.fit import LEDS
 from asterism.server.pose.matched import Matched
 from asterism.server.pose.sphere import lay_flat
 from asterism.server.pose.track import KNOWN, Tracks
@@ -56,15 +55,9 @@ def _searched(spots: Spots, plan: Plan, followed: Matched, misfits: Floats) -> t
     known: NDArray[np.bool_] = np.zeros(len(plan.layouts), np.bool_)
     known[followed.robots] = True
     found, doubts = find(spots, plan, known, misfits)
-    if not found:
-        return followed, doubts
-    robots, labels, rotations, ts = zip(*found, strict=True)
-    return Matched(
-        np.concatenate([followed.robots, robots]),
-        np.concatenate([followed.assignment.ravel(), *labels]).reshape(-1, LEDS),
-        np.concatenate([followed.rotations.reshape(-1, 3), *rotations]).reshape(-1, 3, 3),
-        np.concatenate([followed.ts.ravel(), *ts]).reshape(-1, 3),
-    ), doubts
+    if not len(followed.robots):
+        return found, doubts
+    return Matched(*(np.concatenate(both) for both in zip(followed, found, strict=True))), doubts
 
 
 def _explained(

@@ -71,45 +71,52 @@ def nearest_neighbours(spots, directions, ranks, reach, alike, most):
     ``ranks`` (n,) are different numbers; a neighbour's chord is at most ``reach``; ``alike`` (2,): its height is at
     least that share of the spot's, of the two radii the smaller at least that share of the larger.
     """
-    usable, heights, radii = spots.free, spots.heights, spots.radii
-    units, order = directions.units, directions.order
-    n = heights.shape[0]
+    order, xs = directions.order, directions.xs
+    ys, zs = directions.units[order, 1], directions.units[order, 2]
+    heights, radii, places = spots.heights[order], spots.radii[order], ranks[order]
+    n = xs.shape[0]
+    for place in range(n):
+        if not spots.free[order[place]]:
+            places[place] = -1  # before everybody's
     lists, counts = np.empty((n, most), np.int64), np.zeros(n, np.int64)
     chords2 = np.empty(most)
     for place in range(n):
-        i = order[place]
-        if not usable[i]:
+        if places[place] < 0:
             continue
-        count = 0
-        left, right = place - 1, place + 1
-        while left >= 0 or right < n:
-            # The next candidate from left to right, on either side.
-            gap_left = units[i, 0] - units[order[left], 0] if left >= 0 else np.inf
-            gap_right = units[order[right], 0] - units[i, 0] if right < n else np.inf
-            if gap_left <= gap_right:
-                j, gap = order[left], gap_left
-                left -= 1
-            else:
-                j, gap = order[right], gap_right
-                right += 1
-            limit2 = chords2[count - 1] if count == most else reach * reach
-            if gap * gap > limit2:
-                break
-            if not usable[j] or ranks[j] < ranks[i] or heights[j] < alike[0] * heights[i]:
-                continue
-            chord2 = apart2(units, i, j)
-            if chord2 > limit2 or min(radii[i], radii[j]) < alike[1] * max(radii[i], radii[j]):
-                continue
-            k = count if count < most else most - 1
-            while k > 0 and chords2[k - 1] > chord2:
-                chords2[k] = chords2[k - 1]
-                lists[i, k] = lists[i, k - 1]
-                k -= 1
-            chords2[k] = chord2
-            lists[i, k] = j
-            count = min(count + 1, most)
-        counts[i] = count
+        x, y, z, rank, radius = xs[place], ys[place], zs[place], places[place], radii[place]
+        least, row, count = alike[0] * heights[place], lists[order[place]], 0
+        for side in range(2):
+            step = 1 if side else -1
+            at = place + step
+            while 0 <= at < n:
+                limit2 = chords2[count - 1] if count == most else reach * reach
+                gap2 = (xs[at] - x) ** 2
+                if gap2 > limit2:
+                    break
+                chord2 = gap2 + (ys[at] - y) ** 2 + (zs[at] - z) ** 2
+                # All at once: the processor cannot guess what each of these says.
+                likely = (places[at] > rank) & (heights[at] >= least) & (chord2 <= limit2)
+                if likely and min(radius, radii[at]) >= alike[1] * max(radius, radii[at]):
+                    count = _insert(order[at], chord2, count, row, chords2)
+                at += step
+        counts[order[place]] = count
     return Neighbours(lists, counts)
+
+
+@compiled
+def _insert(spot, chord2, count, row, chords2):
+    """Put a spot among the nearest ``row`` (most,) by its squared chord, in place of the last where there is no room;
+    returns how many there are then.
+    """
+    most = row.shape[0]
+    k = count if count < most else most - 1
+    while k > 0 and chords2[k - 1] > chord2:
+        chords2[k] = chords2[k - 1]
+        row[k] = row[k - 1]
+        k -= 1
+    chords2[k] = chord2
+    row[k] = spot
+    return min(count + 1, most)
 
 
 @compiled

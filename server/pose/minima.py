@@ -46,6 +46,7 @@ class Work(NamedTuple):
     arm: Any  # (3,)
     a: Any  # (6, 6)
     b: Any  # (6,)
+    told: Any  # (2,): what `systematic` says of the better minimum as it is, a cost of NO_SOLUTION: nothing
 
 
 @compiled
@@ -53,7 +54,8 @@ def work_room():
     points, seen, applied, information = np.empty((6, 3)), np.empty((2, 6, 2)), np.empty((2, 6, 2)), np.empty((6, 3))
     own, centre, shifts, start, start_t = np.empty((6, 3)), np.empty(3), np.empty((6, 2)), np.empty((3, 3)), np.empty(3)
     kept, kept_t, arm, a, b = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((6, 6)), np.empty(6)
-    return Work(points, seen, applied, information, own, centre, shifts, start, start_t, kept, kept_t, arm, a, b)
+    told = np.empty(2)
+    return Work(points, seen, applied, information, own, centre, shifts, start, start_t, kept, kept_t, arm, a, b, told)
 
 
 @compiled
@@ -119,6 +121,7 @@ def refine_both(robot, measured, solution, focal, work):
     room = Lit(work.points, work.seen[0], work.applied[0], work.information)
     extra, is_slight = 0.0, False
     better = count = 0
+    work.told[1] = NO_SOLUTION
     for attempt in range(2):
         count = gather(robot.layout, robot.labels, measured, work.shifts, extra, focal, room, work.centre)
         work.seen[1, :, :] = work.seen[0]
@@ -136,9 +139,10 @@ def refine_both(robot, measured, solution, focal, work):
         work.own[:count] = work.information[:count]
         lit = lit_of(work, better, count, work.information)
         known2 = (solution.learned[0] / ts[better, 2]) ** 2
-        extra, _ = systematic(rotations[better], ts[better], lit, focal, known2)
+        extra, cost = systematic(rotations[better], ts[better], lit, focal, known2)
         share = extra * (largest(lit.information, 0) + largest(lit.information, 2))
         if share < NEGLIGIBLE:
+            work.told[0], work.told[1] = extra, cost
             break
         is_slight = share < SLIGHT
     return better, count
@@ -187,6 +191,7 @@ def find_missed(robot, solution, better, count, focal, work, valley):
         narrow, step = look_wide(rotations[better], ts[better], lit, work, valley, solution.covariances[better])
         if step == 0.0:
             break
+        work.told[1] = NO_SOLUTION
         x, y = tilt_of(rotations[better], valley)
         other_x, other_y = tilt_of(rotations[other], valley) if costs[other] < NO_SOLUTION else (x, y)
         at_x, at_y, found = missed(x, y, other_x, other_y, step, valley)

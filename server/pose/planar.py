@@ -222,22 +222,23 @@ def pose_cost(rotation, t, points, rays, information):
 
 @compiled
 def normal_equations(rotation, t, points, rays, information, a, b):
-    """Fill a (6, 6) and b (6,) of the Gauss-Newton step: translation first, then the rotation vector."""
-    a[:, :] = 0.0
-    b[:] = 0.0
-    ju = np.empty(6)
-    jv = np.empty(6)
+    """Fill a (6, 6; its lower triangle) and b (6,) of the Gauss-Newton step: translation first, then the rotation
+    vector.
+    """
+    # Sums are numbers of their own, which stay in registers: half of a solution's time was spent here on arrays.
+    a00 = a10 = a11 = a20 = a21 = a22 = a30 = a31 = a32 = a33 = a40 = a41 = a42 = a43 = a44 = 0.0
+    a50 = a51 = a52 = a53 = a54 = a55 = b0 = b1 = b2 = b3 = b4 = b5 = 0.0
     for i in range(points.shape[0]):
         q0 = rotation[0, 0] * points[i, 0] + rotation[0, 1] * points[i, 1] + rotation[0, 2] * points[i, 2]
         q1 = rotation[1, 0] * points[i, 0] + rotation[1, 1] * points[i, 1] + rotation[1, 2] * points[i, 2]
         q2 = rotation[2, 0] * points[i, 0] + rotation[2, 1] * points[i, 1] + rotation[2, 2] * points[i, 2]
         iz = 1.0 / (q2 + t[2])
         u, v = (q0 + t[0]) * iz, (q1 + t[1]) * iz
-        ju[0], ju[1], ju[2] = iz, 0.0, -u * iz
-        jv[0], jv[1], jv[2] = 0.0, iz, -v * iz
-        # d(w x q): the rotation's part is (translation's part) x, crossed with q.
-        ju[3], ju[4], ju[5] = ju[2] * q1, iz * q2 - ju[2] * q0, -iz * q1
-        jv[3], jv[4], jv[5] = -iz * q2 + jv[2] * q1, -jv[2] * q0, iz * q0
+        # Derivatives of the ray's x are (iz, 0, u2, u3, u4, u5), those of its y (0, iz, v2, v3, v4, v5): d(w x q), the
+        # rotation's part, is (translation's part) x, crossed with q.
+        u2, v2 = -u * iz, -v * iz
+        u3, u4, u5 = u2 * q1, iz * q2 - u2 * q0, -iz * q1
+        v3, v4, v5 = -iz * q2 + v2 * q1, -v2 * q0, iz * q0
         e, f = rays[i, 0] - u, rays[i, 1] - v
         wxx, wxy, wyy = information[i, 0], information[i, 1], information[i, 2]
         m2 = wxx * e * e + 2.0 * wxy * e * f + wyy * f * f
@@ -246,24 +247,58 @@ def normal_equations(rotation, t, points, rays, information, a, b):
             wxx *= trust
             wxy *= trust
             wyy *= trust
-        for j in range(6):
-            wu, wv = wxx * ju[j] + wxy * jv[j], wxy * ju[j] + wyy * jv[j]
-            b[j] += wu * e + wv * f
-            for k in range(j + 1):
-                a[j, k] += wu * ju[k] + wv * jv[k]
+        x, y = wxx * iz, wxy * iz
+        b0 += x * e + y * f
+        a00 += x * iz
+        x, y = wxy * iz, wyy * iz
+        b1 += x * e + y * f
+        a10 += x * iz
+        a11 += y * iz
+        x, y = wxx * u2 + wxy * v2, wxy * u2 + wyy * v2
+        b2 += x * e + y * f
+        a20 += x * iz
+        a21 += y * iz
+        a22 += x * u2 + y * v2
+        x, y = wxx * u3 + wxy * v3, wxy * u3 + wyy * v3
+        b3 += x * e + y * f
+        a30 += x * iz
+        a31 += y * iz
+        a32 += x * u2 + y * v2
+        a33 += x * u3 + y * v3
+        x, y = wxx * u4 + wxy * v4, wxy * u4 + wyy * v4
+        b4 += x * e + y * f
+        a40 += x * iz
+        a41 += y * iz
+        a42 += x * u2 + y * v2
+        a43 += x * u3 + y * v3
+        a44 += x * u4 + y * v4
+        x, y = wxx * u5 + wxy * v5, wxy * u5 + wyy * v5
+        b5 += x * e + y * f
+        a50 += x * iz
+        a51 += y * iz
+        a52 += x * u2 + y * v2
+        a53 += x * u3 + y * v3
+        a54 += x * u4 + y * v4
+        a55 += x * u5 + y * v5
+    a[:, :] = 0.0
+    a[0, 0] = a00
+    a[1, 0], a[1, 1] = a10, a11
+    a[2, 0], a[2, 1], a[2, 2] = a20, a21, a22
+    a[3, 0], a[3, 1], a[3, 2], a[3, 3] = a30, a31, a32, a33
+    a[4, 0], a[4, 1], a[4, 2], a[4, 3], a[4, 4] = a40, a41, a42, a43, a44
+    a[5, 0], a[5, 1], a[5, 2], a[5, 3], a[5, 4], a[5, 5] = a50, a51, a52, a53, a54, a55
+    b[0], b[1], b[2], b[3], b[4], b[5] = b0, b1, b2, b3, b4, b5
 
 
 @compiled
 def refine_pose(rotation, t, points, rays, information, iterations):
     """Levenberg-Marquardt on rotation and translation, in place; returns the robust cost."""
-    a = np.empty((6, 6))
-    b = np.empty(6)
-    step = np.empty((3, 3))
-    new_rotation = np.empty((3, 3))
-    new_t = np.empty(3)
     cost = pose_cost(rotation, t, points, rays, information)
     if cost >= NO_SOLUTION:
         return cost
+    # Room is asked for as seldom as can be: that takes as long as half an iteration.
+    six, three = np.empty((7, 6)), np.empty((3, 3, 3))
+    a, b, step, new_rotation, new_t = six[:6], six[6], three[0], three[1], three[2, 0]
     damping = 1e-6
     for _ in range(iterations):
         normal_equations(rotation, t, points, rays, information, a, b)
@@ -295,11 +330,10 @@ def other_minimum(rotation, t, points, rays, other_rotation, other_t):
 
     ``points`` must be centred on the plane's origin. False where the two coincide.
     """
-    h = np.empty((3, 3))
-    h[:, 0] = rotation[:, 0] / t[2]
-    h[:, 1] = rotation[:, 1] / t[2]
-    h[:, 2] = t / t[2]
-    same = np.empty((3, 3))
+    room = np.empty((2, 3, 3))
+    h, same = room[0], room[1]
+    for i in range(3):
+        h[i, 0], h[i, 1], h[i, 2] = rotation[i, 0] / t[2], rotation[i, 1] / t[2], t[i] / t[2]
     if not two_rotations(h, same, other_rotation):
         return False
     # Of the two, one is the pose it came from: take the other.

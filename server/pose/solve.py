@@ -201,7 +201,10 @@ def _measure_up(robot, solution, better, count, focal, work, valley):
     for which in range(2):
         if costs[which] < NO_SOLUTION:
             own = lit_of(work, which, count, work.own)
-            told, costs[which] = systematic(rotations[which], ts[which], own, focal, known2)
+            if which == better and work.told[1] < NO_SOLUTION:
+                told, costs[which] = work.told[0], work.told[1]
+            else:
+                told, costs[which] = systematic(rotations[which], ts[which], own, focal, known2)
             if which == better:
                 _tell_misfit(solution, better, own, told, focal, known2)
     has_other = costs[other] < NO_SOLUTION

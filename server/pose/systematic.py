@@ -76,11 +76,9 @@ def systematic(rotation, t, lit, focal, known2):
         middle = PLATE_SHARE * PLATE_SHARE * size2 / (n * t[2] * t[2])
     before = _LOG_PRIORS[2 if is_known else (1 if known2 > 0.0 else 0)]
     # Squared residuals over all variances, and the product of the determinants over those of the spots' own noise.
-    squares, growth, variances = (
-        np.zeros(SYSTEMATIC_STEPS + 1),
-        np.ones(SYSTEMATIC_STEPS + 1),
-        np.zeros(SYSTEMATIC_STEPS + 1),
-    )
+    room = np.zeros((3, SYSTEMATIC_STEPS + 1))
+    squares, growth, variances = room[0], room[1], room[2]
+    growth[:] = 1.0
     variances[1] = middle * 4.0 ** (1 - (SYSTEMATIC_STEPS + 1) // 2)
     for k in range(2, SYSTEMATIC_STEPS + 1):
         variances[k] = 4.0 * variances[k - 1]
@@ -101,7 +99,9 @@ def systematic(rotation, t, lit, focal, known2):
     none = math.exp(squares[0] - most)
     some = sizes = mean = 0.0
     for k in range(1, SYSTEMATIC_STEPS + 1):
-        likely, size = math.exp(squares[k] - most), variances[k] ** (0.25 * (n - 4))
+        likely = math.exp(squares[k] - most)
+        # Of six LEDs that power is a root, and found faster as one.
+        size = math.sqrt(variances[k]) if n == LEDS else variances[k] ** (0.25 * (n - 4))
         some += likely
         sizes += likely * size
         mean += likely * size * variances[k]

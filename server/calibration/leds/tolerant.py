@@ -54,9 +54,9 @@ class TolerantSearch:
         free = np.ones(len(rows), np.bool_)
         spots = Spots(flat, rays, variances, blobs.heights[rows], blobs.radii_px[rows], free)
         found, _ = find(spots, coarse, np.zeros(1, np.bool_), np.zeros(1))
-        if not found:
+        if not len(found.robots):
             return None
-        _, labels, rotation, t = found[0]
+        labels, rotation, t = found.assignment[0], found.rotations[0], found.ts[0]
         leds = np.flatnonzero(labels >= 0)
         centres = LedCentres.of(blobs.centres_px, blobs.covariances_px2, rows[labels[leds]], leds)
         return centres, Pose.from_matrix(rotation, t) @ self._robot.T_robot_plane.inverse()
