@@ -209,7 +209,7 @@ class _Examination:
             found.fault("an index of messages that is not its chunk's")
             return
         found.missing.remove(expected)
-        chunk = found.contents.chunks[-1]
+        chunk = found.contents.chunks.last
         chunk.message_index_offsets[channel] = part.offset
         chunk.message_index_length += part.length
 

@@ -104,12 +104,13 @@ def _lost(found: Examined) -> list[str]:
 
 def _append_index(found: Examined) -> None:
     """Cut off what is behind the data and write the index there."""
-    data, chunks = RecordBuilder(), found.contents.chunks
+    data = RecordBuilder()
     for index in found.missing:
-        chunks[-1].message_index_offsets[index.channel_id] = found.data_end + data.count
+        chunk = found.contents.chunks.last
+        chunk.message_index_offsets[index.channel_id] = found.data_end + data.count
         before = data.count
         index.write(data)
-        chunks[-1].message_index_length += data.count - before
+        chunk.message_index_length += data.count - before
     behind = data.end()
     with found.path.open("r+b") as file:
         file.truncate(found.data_end)
@@ -161,8 +162,8 @@ class _Copy:
     """Messages of a damaged file into a new one."""
 
     def __init__(self, found: Examined, new: Path, texts: dict[str, dict[str, str]]) -> None:
-        chunks = Counter(chunk.compression for chunk in found.contents.chunks)
-        self._writer = Writer(new, Packing(chunks.most_common(1)[0][0] if chunks else "zstd"))
+        usual = found.contents.chunks.compressions.most_common(1)
+        self._writer = Writer(new, Packing(usual[0][0] if usual else "zstd"))
         self._found = found
         self._texts = texts
         self._camera = texts.get(METADATA, {}).get("camera", "")

@@ -11,6 +11,7 @@ from asterism.recordings.records import Buffer
 from asterism.recordings.told import METADATA, with_check_sum
 from asterism.recordings.writer import Writer
 
+MOST_CHUNKS = 20_000  # of a file, whose index is in memory: 2 MB
 VIEWERS = frozenset(kind.schema for kind in (ANNOTATIONS, CALIBRATION, TRANSFORMS))  # made of what was published
 
 
@@ -55,7 +56,8 @@ class Series:
         """
         counts = message.kind.schema not in VIEWERS
         self._open += counts
-        if self._writer is None or self._writer.bytes_written >= self._split_bytes:
+        writer = self._writer
+        if writer is None or writer.bytes_written >= self._split_bytes or len(writer.contents.chunks) >= MOST_CHUNKS:
             self._next_file(message.log_ns)
             self._open = int(counts)
         self._append(message, payload if payload is not None else [message.payload])

@@ -9,7 +9,6 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
-    ChunkIndex,
     DataEnd,
     Footer,
     McapRecord,
@@ -19,6 +18,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from asterism.recordings.chunk_places import ChunkPlaces
 from asterism.recordings.records import MAGIC
 
 
@@ -29,7 +29,7 @@ class Contents:
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: dict[int, int] = field(default_factory=lambda: defaultdict(int))  # messages by channel
-    chunks: list[ChunkIndex] = field(default_factory=list)
+    chunks: ChunkPlaces = field(default_factory=ChunkPlaces)
     metadata: list[MetadataIndex] = field(default_factory=list)
 
     @property
@@ -37,17 +37,9 @@ class Contents:
         """How many messages there are."""
         return sum(self.counts.values())
 
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """First and last time; zeros where there is no message."""
-        return (
-            min((chunk.message_start_time for chunk in self.chunks), default=0),
-            max((chunk.message_end_time for chunk in self.chunks), default=0),
-        )
-
     def statistics(self) -> Statistics:
         """In numbers."""
-        first, last = self.span_ns
+        first, last = self.chunks.span_ns
         return Statistics(
             attachment_count=0,
             channel_count=len(self.channels),
@@ -60,13 +52,13 @@ class Contents:
             schema_count=len(self.schemas),
         )
 
-    def groups(self) -> list[tuple[Opcode, list[McapRecord]]]:
+    def groups(self) -> list[tuple[Opcode, list[McapRecord | ChunkPlaces]]]:
         """The summary's records, in their order."""
         return [
             (Opcode.SCHEMA, list(self.schemas.values())),
             (Opcode.CHANNEL, list(self.channels.values())),
             (Opcode.STATISTICS, [self.statistics()]),
-            (Opcode.CHUNK_INDEX, list(self.chunks)),
+            (Opcode.CHUNK_INDEX, [self.chunks] if self.chunks else []),
             (Opcode.METADATA_INDEX, list(self.metadata)),
         ]
 

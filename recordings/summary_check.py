@@ -107,15 +107,23 @@ def ending_is_right(file: BinaryIO, data_end: int, contents: Contents) -> bool:
     behind = read_at(file, data_end, _DATA_END_BYTES)
     if behind != HEAD.pack(Opcode.DATA_END, 4) + bytes(4) or summary.start != data_end + _DATA_END_BYTES:
         return False
-    expected = [(int(opcode), _body(record)) for opcode, records in contents.groups() for record in records]
+    expected = _records(contents)
     told = [(opcode, bytes(body)) for _, opcode, body in summary.records if opcode != Opcode.SUMMARY_OFFSET]
     return sorted(told) == sorted(expected) and _offsets_are_right(summary)
 
 
-def _body(record: object) -> bytes:
+def _records(contents: Contents) -> list[tuple[int, bytes]]:
+    """Opcode and body of everything that a summary of these contents tells."""
     builder = RecordBuilder()
-    record.write(builder)  # type: ignore[attr-defined]
-    return bytes(builder.end()[HEAD.size :])
+    for _, group in contents.groups():
+        for written in group:
+            written.write(builder)
+    text, at, found = builder.end(), 0, []
+    while at < len(text):
+        opcode, length = HEAD.unpack_from(text, at)
+        found.append((opcode, text[at + HEAD.size : at + HEAD.size + length]))
+        at += HEAD.size + length
+    return found
 
 
 def _offsets_are_right(summary: Summary) -> bool:

@@ -149,6 +149,23 @@ def test_two_recordings_of_one_second_do_not_collide(tmp_path: Path, frames: Mad
     assert len(folders) == 3
 
 
+def test_a_file_ends_before_its_index_grows_long(tmp_path: Path, frames: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows around spots are small, and each frame is a chunk: by size alone a file would last for hours."""
+    monkeypatch.setattr("asterism.recordings.series.MOST_CHUNKS", 4)
+    recorder = Recorder(tmp_path, RIG, "test", FramesKept(1, spots=True), wait=True)
+    for frame, messages in frames:
+        recorder.write(messages, frame.image, frame.exposed_ns, frame.index)
+    recorder.close({})
+    assert len(list(recorder.folder.glob("frames-*"))) == 2
+    assert [index for _, _, index in Recording(recorder.folder).frames()] == list(range(FRAMES))
+    for file in recorder.folder.glob("frames-*"):
+        with file.open("rb") as stream:
+            summary = make_reader(stream).get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert len(summary.chunk_indexes) == summary.statistics.chunk_count > 0
+
+
 def test_files_are_split_by_size_and_each_can_be_read_alone(
     tmp_path: Path, frames: Made, monkeypatch: pytest.MonkeyPatch
 ) -> None:
