@@ -11,7 +11,7 @@ from asterism.recordings.records import Buffer
 from asterism.recordings.told import METADATA, with_check_sum
 from asterism.recordings.writer import Writer
 
-MOST_CHUNKS = 20_000  # of a file, whose index is in memory: 2 MB
+MOST_CHUNKS = 10_000  # of a file, whose index is in memory: 1 MB
 VIEWERS = frozenset(kind.schema for kind in (ANNOTATIONS, CALIBRATION, TRANSFORMS))  # made of what was published
 
 
