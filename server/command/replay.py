@@ -21,6 +21,7 @@ from asterism.server.service.play_clock import PlayClock
 from asterism.server.service.publish import Publisher
 from asterism.server.service.say import say
 from asterism.server.service.serve import Stop, stop_on_signals
+from asterism.server.sources.paced import LONGEST_GAP_NS
 
 EXAMPLES = (
     "asterism replay RECORDING\n"
@@ -28,8 +29,6 @@ EXAMPLES = (
     "asterism replay RECORDING --solve rig.yaml\n"
 )
 
-# A server tells its status every second: nothing for so long is no part of what happened.
-LONGEST_GAP_NS = 3_000_000_000
 BACK_NS = 100_000_000  # what threads publish side by side may be out of order by less
 LOCATED = (pb.TRACKED, pb.TILT_AMBIGUOUS)
 

@@ -8,7 +8,8 @@ from asterism.protocol.messages import Clock
 from asterism.server.chain.frame import Frame
 from asterism.server.sources.session_clock import SessionClock
 
-LONGEST_GAP_NS = 3_000_000_000  # as in a replay: nothing is waited for longer, ...
+# A server tells its status every second: nothing for so long is no part of what happened, and is not waited for, ...
+LONGEST_GAP_NS = 3_000_000_000
 USUAL = 10  # ... unless frames were as rare as that already, within this factor
 
 

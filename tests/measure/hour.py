@@ -27,6 +27,7 @@ from asterism.recordings.reader import Recording
 from tests.helpers import REPOSITORY
 from tests.measure.latency import cpu_s
 from tests.measure.looped_camera import write_film
+from tests.measure.serving import resident_mb
 from tests.measure.ten_robots import write_ten_robots
 from tests.servers import free_endpoint
 
@@ -99,9 +100,10 @@ class Listening:
         self._process.communicate()
 
 
-def wait_for_words(log: Path, words: str) -> None:
-    """Until a log holds them."""
+def wait_for_words(server: subprocess.Popen[bytes], log: Path, words: str) -> None:
+    """Until a server's log holds them."""
     while words not in log.read_text():
+        assert server.poll() is None, log.read_text()
         time.sleep(0.2)
 
 
@@ -113,14 +115,8 @@ def serve_ten(folder: Path, endpoint: str, rate_hz: float, *options: str | Path)
     command = [sys.executable, "-m", "tests.measure.looped_camera", film, str(rate_hz), rig, "--listen", endpoint]
     with log.open("w") as stream:
         server = subprocess.Popen([*command, *options], stderr=stream, cwd=REPOSITORY)
-    wait_for_words(log, "serving")
+    wait_for_words(server, log, "serving")
     return server
-
-
-def own_memory_mb(pid: int) -> float:
-    """Resident memory of a process, but for files that are mapped."""
-    status = Path(f"/proc/{pid}/status").read_text()
-    return float(next(line.split()[1] for line in status.splitlines() if line.startswith("RssAnon"))) / 1024
 
 
 def lost(recording: Path, plain: dict[str, Any], client: dict[str, Any]) -> dict[str, int]:
@@ -154,7 +150,7 @@ def main(minutes: float, folder: Path) -> None:
         until, used = time.monotonic() + part_s, cpu_s(server.pid)
         while time.monotonic() < until:
             time.sleep(min(part_s / 20, 10.0))
-            memory.append(own_memory_mb(server.pid))
+            memory.append(resident_mb(server.pid, "RssAnon"))
         told = listening["plain"].ask()
         used = 1e3 * (cpu_s(server.pid) - used) / (part_s * RATE_HZ)
         row = [f"{(part + 1) * part_s / 60:.0f}", *(f"{ms:.2f}" for ms in told["ms"]), f"{memory[-1]:.1f}"]

@@ -29,10 +29,10 @@ from tests.wire_bytes import in_the_session_of, received_bytes, recorded_bytes
 RATE, FRAMES = 60, 600
 
 
-def resident_mb(pid: int) -> float:
-    """Resident memory of a process."""
+def resident_mb(pid: int, kind: str = "VmRSS") -> float:
+    """Resident memory of a process; "RssAnon": its own, without files that are mapped."""
     status = Path(f"/proc/{pid}/status").read_text()
-    return float(next(line.split()[1] for line in status.splitlines() if line.startswith("VmRSS"))) / 1024
+    return float(next(line.split()[1] for line in status.splitlines() if line.startswith(kind))) / 1024
 
 
 def robots_table(folder: Path, received: list[dict[str, Any]]) -> Table:

@@ -54,6 +54,8 @@ def test_a_terminal_may_be_closed() -> None:
 
 @pytest.mark.skipif(not FULL.exists(), reason="this system has no /dev/full")
 def test_a_full_disk_loses_lines_only(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="No space left"), FULL.open("w") as full:
+        full.write("into a full disk")
     with error_channel(os.open(FULL, os.O_WRONLY)), telling() as told:
         told.choose(quiet=False, verbose=False, log=FULL)
         for _ in range(5000):
