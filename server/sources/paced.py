@@ -36,11 +36,13 @@ def paced(
 
 def _own_times(frames: Iterator[Frame]) -> Iterator[tuple[Frame, float]]:
     """Frames with when they are played at their own spacing, s from the first."""
-    played_ns, step_ns, before_ns = 0, 0, None
+    played_ns, usual_ns, before_ns = 0, 0, None
     for frame in frames:
         gap_ns = 0 if before_ns is None else frame.exposed_ns - before_ns
         before_ns = frame.exposed_ns
-        if 0 <= gap_ns <= max(LONGEST_GAP_NS, USUAL * step_ns) or (gap_ns > 0 and not step_ns):
-            step_ns = gap_ns
-        played_ns += step_ns
+        if gap_ns < 0 or (usual_ns and gap_ns > max(LONGEST_GAP_NS, USUAL * usual_ns)):
+            gap_ns = usual_ns
+        elif gap_ns:
+            usual_ns = gap_ns
+        played_ns += gap_ns
         yield frame, played_ns * 1e-9
