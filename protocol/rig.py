@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from asterism.protocol.camera import Camera, load_camera, parse_camera
+from asterism.protocol.capture import Capture, read_capture
 from asterism.protocol.constellation import LEDS, Confusion, confusions, extent, plane_of
 from asterism.protocol.geometry import Floats, Pose, frozen_array
 from asterism.protocol.keys import key_problem
 from asterism.protocol.led_offset import LedOffset, parse_offset
 from asterism.protocol.rig_hints import (
-    CAPTURE_WORDS,
     FARTHEST_POINT,
     LED_WORDS,
     NORMAL_WORDS,
@@ -31,7 +31,6 @@ ESTIMATORS = ("edge-model", "grey-square", "clip", "zernike")  # the first is th
 COPLANAR = 0.02  # of the extent: LEDs farther from their common plane are refused
 SEPARATION = 0.02  # of the extent: constellations nearer than this cannot be told apart
 LARGEST_M = 5.0  # between two LEDs of a robot
-LONGEST_LINE_US = 1000.0  # of a rolling shutter; sensors take 5 to 70
 NEAREST_LEDS = 0.03  # of the extent: LEDs nearer than this would be one spot
 
 
@@ -54,6 +53,7 @@ class Robot:
     points: dict[str, Floats] = field(default_factory=dict)  # name -> (3,)
     normal: NormalPrior | None = None
     led_offset: LedOffset | None = None
+    T_world_fixed: Pose | None = None  # T_world_robot of a constellation that does not move: a reference
     T_robot_plane: Pose = field(init=False)
     leds_plane: Floats = field(init=False)  # (6, 3); third column: distance from the common plane
 
@@ -70,18 +70,6 @@ class Robot:
         return extent(self.leds)
 
 
-@dataclass(frozen=True, slots=True)
-class Capture:
-    """Camera settings; None leaves the camera's own."""
-
-    rate_hz: float | None = None
-    exposure_us: float | None = None
-    gain: float | None = None
-    size: tuple[int, int] | None = None  # width, height
-    bits: int | None = None  # of a 16-bit frame's pixels; None: all 16
-    line_time_us: float = 0.0  # of a rolling shutter, from one row to the next, downwards; 0: all rows at once
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Rig:
     """One camera and its robots, with the texts of the files they came from."""
@@ -93,6 +81,7 @@ class Rig:
     centre: str = ESTIMATORS[0]
     capture: Capture = field(default_factory=Capture)
     T_world_camera: Pose | None = None
+    follows_world: bool = False  # T_world_camera is taken anew from the constellations that do not move
     z_correction: ZCorrection | None = None
     rig_text: str = ""
     camera_text: str = ""
@@ -153,7 +142,7 @@ def parse_rig(rig_text: str, camera_text: str, name: str, offset_texts: Mapping[
 def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str, offset_text: _OffsetText) -> Rig:
     section.only(RIG_KEYS, RIG_WORDS)
     section.text("camera")
-    T_world_camera = _world(section.section("world")) if "world" in section else None
+    T_world_camera, follows = _world(section.section("world")) if "world" in section else (None, False)
     if T_world_camera is not None and camera.name == "world":
         raise section.error("world", "the camera's name is 'world' too; give camera_name another value")
     inner = section.section("robots")
@@ -174,8 +163,9 @@ def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str, offs
         range_m=_range(section) if "range" in section else None,
         masks=_masks(section, camera) if "masks" in section else (),
         centre=section.text("centre", ESTIMATORS) if "centre" in section else ESTIMATORS[0],
-        capture=_capture(section.section("capture")) if "capture" in section else Capture(),
+        capture=read_capture(section.section("capture")) if "capture" in section else Capture(),
         T_world_camera=T_world_camera,
+        follows_world=follows,
         z_correction=read_correction(section.section("z_correction")) if "z_correction" in section else None,
         rig_text=rig_text,
         camera_text=camera_text,
@@ -204,38 +194,14 @@ def _masks(section: Section, camera: Camera) -> tuple[tuple[int, int, int, int],
     return tuple(masks)
 
 
-def _capture(section: Section) -> Capture:
-    section.only(("rate", "exposure_us", "gain", "size", "bits", "line_time_us"), CAPTURE_WORDS)
-    size = None
-    if "size" in section:
-        width, height = section.numbers("size", 2, "width, height px")
-        if not (width.is_integer() and height.is_integer() and width > 0 and height > 0):
-            raise section.error("size", f"[{width:g}, {height:g}], expected two whole numbers of px above 0")
-        size = (int(width), int(height))
-    return Capture(
-        rate_hz=section.number("rate", above=0) if "rate" in section else None,
-        exposure_us=section.number("exposure_us", above=0) if "exposure_us" in section else None,
-        gain=section.number("gain", least=0) if "gain" in section else None,
-        size=size,
-        bits=section.integer("bits", 8, 16) if "bits" in section else None,
-        line_time_us=_line_time(section) if "line_time_us" in section else 0.0,
-    )
+def _world(section: Section) -> tuple[Pose, bool]:
+    section.only(("position", "orientation", "follow"), WORLD_WORDS)
+    follows = section.boolean("follow") if "follow" in section else False
+    return _pose(section, "x, y, z of the camera in the world, m"), follows
 
 
-def _line_time(section: Section) -> float:
-    time = section.number("line_time_us", least=0)
-    if time > LONGEST_LINE_US:
-        raise section.error(
-            "line_time_us",
-            f"{time:g}, expected us from one row to the next, at most {LONGEST_LINE_US:g}; is that ns, or the time of "
-            "all rows?",
-        )
-    return time
-
-
-def _world(section: Section) -> Pose:
-    section.only(("position", "orientation"), WORLD_WORDS)
-    position = section.numbers("position", 3, "x, y, z of the camera in the world, m")
+def _pose(section: Section, what: str) -> Pose:
+    position = section.numbers("position", 3, what)
     refuse_millimetres(section, "position", position)
     quat = section.numbers("orientation", 4, "the quaternion x, y, z, w")
     length = float(np.linalg.norm(quat))
@@ -244,10 +210,17 @@ def _world(section: Section) -> Pose:
     return Pose(np.array(position), np.array(quat))
 
 
+def _fixed(section: Section, T_world_camera: Pose | None) -> Pose:
+    if T_world_camera is None:
+        raise section.error(None, "needs the rig's `world`, the pose of the camera in the world")
+    section.only(("position", "orientation"), WORLD_WORDS)
+    return _pose(section, "x, y, z of the constellation in the world, m")
+
+
 def _robot(name: str, section: Section, T_world_camera: Pose | None, offset_text: _OffsetText) -> Robot:
     if problem := key_problem(name):
         raise section.error(None, f"the robot's id {describe(name)} {problem}; it becomes part of a zenoh key")
-    section.only(("leds", "led", "points", "normal"), ROBOT_WORDS)
+    section.only(("leds", "led", "points", "normal", "fixed"), ROBOT_WORDS)
     leds = _leds(section)
     axis, radius, offset = np.array([0.0, 0.0, 1.0]), None, None
     if "led" in section:
@@ -292,7 +265,8 @@ def _robot(name: str, section: Section, T_world_camera: Pose | None, offset_text
         if within > 180:
             raise inner.error("within_deg", f"{within:g}, expected at most 180")
         prior = NormalPrior(frozen_array(direction, 3), float(np.radians(within)))
-    return Robot(name, leds, axis, radius, points, prior, offset)
+    fixed = _fixed(section.section("fixed"), T_world_camera) if "fixed" in section else None
+    return Robot(name, leds, axis, radius, points, prior, offset, fixed)
 
 
 def _point(section: Section, key: str, leds: Floats) -> Floats:

@@ -32,6 +32,9 @@ RIG_WORDS = {
     "gain": "capture.gain",
     "bits": "capture.bits",
     "line_time_us": "capture.line_time_us",
+    "delay_us": "capture.delay_us",
+    "pixel_format": "capture.pixel_format",
+    "trigger": "capture.trigger",
     "size": "capture.size",
     "resolution": "capture.size",
 }
@@ -52,6 +55,15 @@ CAPTURE_WORDS = {
     "row_time_us": "line_time_us",
     "line_time_ns": "line_time_us",
     "rolling_shutter": "line_time_us",
+    "format": "pixel_format",
+    "pixelformat": "pixel_format",
+    "fourcc": "pixel_format",
+    "offset_x": "offset",
+    "offset_y": "offset",
+    "trigger_source": "trigger",
+    "timestamp": "stamp",
+    "delay": "delay_us",
+    "latency_us": "delay_us",
 }
 WORLD_WORDS = {
     "translation": "position",

@@ -142,6 +142,13 @@ class Section:
             raise self.error(key, f"{describe(value)}, expected {wanted}")
         return value
 
+    def boolean(self, key: str) -> bool:
+        """`true` or `false`."""
+        value = self._get(key, "true or false")
+        if not isinstance(value, bool):
+            raise self.error(key, f"{describe(value)}, expected true or false")
+        return value
+
     def numbers(self, key: str, count: int, what: str) -> list[float]:
         """A list of ``count`` finite numbers; ``what`` says what they are."""
         wanted = f"{count} numbers ({what})"

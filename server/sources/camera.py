@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +21,18 @@ def clock_of(source: Source) -> SessionClock:
     return source.clock if isinstance(source, Camera) else SessionClock()
 
 
+class Taken(NamedTuple):
+    """An image, and when its light fell."""
+
+    image: NDArray[np.generic]
+    mid_ns: int | None = None  # mid-exposure on the host's monotonic clock; None: only its arrival is known
+    clock: Clock = Clock.ARRIVAL  # that told
+
+
 class Device(Protocol):
     """An open camera."""
 
-    def read(self) -> NDArray[np.generic] | None:
+    def read(self) -> Taken | None:
         """The next image, or None when the camera is gone."""
         ...
 
@@ -58,8 +66,12 @@ class Camera:
             )
 
     def frames(self) -> Iterator[Frame]:
-        """Frames as they arrive, stamped on arrival. Raises InputError for images of another size than calibrated."""
-        index = 0
+        """Frames as they arrive, stamped by the best clock that tells, less the rig's `delay_us`.
+
+        Raises InputError for images of another size than calibrated.
+        """
+        index, capture = 0, self._expected.capture
+        delay_ns = round(capture.delay_us * 1e3)
         while not self._closed:
             if self._device is None:
                 self._device = self._open()
@@ -68,19 +80,20 @@ class Camera:
                     continue
                 self.problem = ""
                 self._say(f"{self.name}: the camera is back")
-            image = self._device.read()
+            taken = self._device.read()
             session = self.clock.session
             arrived_ns = self.clock.now_ns(session)
-            if image is None:
+            if taken is None:
                 self._device.close()
                 self._device = None
                 if not self._closed:
                     self.problem = f"{self.name}: the camera vanished; waiting for it"
                     self._say(self.problem)
                 continue
-            grey = to_grey8(image, self._expected.capture.bits, self.name)
+            grey = to_grey8(taken.image, capture.bits, self.name)
             self._expected.check(grey, self.name)
-            yield Frame(grey, arrived_ns, index, f"{index:06d}", arrived_ns, Clock.ARRIVAL, session)
+            stamp_ns = arrived_ns if taken.mid_ns is None else self.clock.at_ns(taken.mid_ns, session)
+            yield Frame(grey, stamp_ns - delay_ns, index, f"{index:06d}", arrived_ns, taken.clock, session)
             index += 1
         if self._device is not None:
             self._device.close()

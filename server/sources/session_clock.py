@@ -53,10 +53,14 @@ class SessionClock:
 
         Raises KeyError for a session that never was, or is over for long.
         """
+        return self.at_ns(self._monotonic(), session)
+
+    def at_ns(self, monotonic_ns: int, session: int | None = None) -> int:
+        """A time of the host's monotonic clock, likewise."""
         sessions = self._sessions
         for one in reversed(sessions):
             if session is None or one.number == session:
-                return self._monotonic() + one.offset_ns
+                return monotonic_ns + one.offset_ns
         raise KeyError(session)
 
     def look(self) -> int | None:

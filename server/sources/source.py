@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.protocol.camera import check_image_size
+from asterism.protocol.capture import Capture
 from asterism.protocol.errors import InputError
-from asterism.protocol.rig import Capture, Rig
+from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame
 
 DEFAULT_RATE_HZ = 60.0

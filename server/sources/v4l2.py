@@ -1,9 +1,7 @@
 """V4L2 cameras, through OpenCV."""
 
-import numpy as np
-from numpy.typing import NDArray
-
-from asterism.protocol.rig import Capture
+from asterism.protocol.capture import Capture
+from asterism.server.sources.camera import Taken
 
 
 class V4l2Device:
@@ -12,10 +10,10 @@ class V4l2Device:
     def __init__(self, capture: object) -> None:
         self._capture = capture
 
-    def read(self) -> NDArray[np.generic] | None:
+    def read(self) -> Taken | None:
         """The next image; blocks until the camera delivers or gives up."""
         there, image = self._capture.read()  # type: ignore[attr-defined]
-        return image if there else None
+        return Taken(image) if there else None
 
     def close(self) -> None:
         """Let go of the camera."""

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from asterism.protocol.capture import Capture
 from asterism.protocol.geometry import Floats, Pose, exp_rotation, log_rotation
-from asterism.protocol.rig import Capture, Rig
+from asterism.protocol.rig import Rig
 from asterism.server import Frame, Lost, PoseEstimate, Tracks, localize
 from asterism.server.simulation.simulate import Look, Scene, Truth
 from tests.chain.frames import poses_apart

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asterism.protocol.rig import Capture, Rig
+from asterism.protocol.capture import Capture
+from asterism.protocol.rig import Rig
 from asterism.server import Frame, PoseEstimate, Tracks, localize
 from asterism.server.simulation.simulate import Scene
 from tests.chain.moving import KINDS, Told, followed, motions

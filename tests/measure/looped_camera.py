@@ -16,7 +16,7 @@ from asterism.protocol.rig import Rig, load_rig
 from asterism.server.__main__ import main
 from asterism.server.command import serve
 from asterism.server.simulation.simulate import Scene
-from asterism.server.sources.camera import Camera
+from asterism.server.sources.camera import Camera, Taken
 from asterism.server.sources.source import Say
 
 
@@ -29,14 +29,14 @@ class LoopedDevice:
         self._step_s = 1.0 / rate_hz
         self._due_s = time.monotonic()
 
-    def read(self) -> NDArray[np.uint8]:
+    def read(self) -> Taken:
         """The image that is due."""
         self._due_s += self._step_s
         while time.monotonic() - self._due_s > self._step_s:  # nobody took it
             next(self._order)
             self._due_s += self._step_s
         time.sleep(max(self._due_s - time.monotonic(), 0.0))
-        return np.array(self._film[next(self._order)])  # a driver's buffer is the reader's own
+        return Taken(np.array(self._film[next(self._order)]))  # a driver's buffer is the reader's own
 
     def close(self) -> None:
         """Nothing is open."""

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from asterism.protocol.rig import Capture
+from asterism.protocol.capture import Capture
 from asterism.server import PoseEstimate
 from tests.chain.moving import KINDS, Told, followed, motions
 from tests.measure.honesty import is_flipped

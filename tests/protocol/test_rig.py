@@ -79,6 +79,22 @@ def test_everything_is_read(folder: Path) -> None:
     np.testing.assert_allclose(alpha.T_robot_plane.map(alpha.leds_plane), alpha.leds, atol=1e-12)
 
 
+def test_the_cameras_stamp_and_what_stands_still_are_read(folder: Path) -> None:
+    text = RIG.replace("bits: 10", "trigger: Line1, pixel_format: Mono12p, offset: [8, 16], stamp: end, delay_us: -40")
+    text = text.replace("world:", "world:\n  follow: true", 1)
+    still = "    fixed: {position: [0.4, 0.3, 0.0], orientation: [0, 0, 0, 1]}\n"
+    (folder / "rig.yaml").write_text(text.replace("    points:", still + "    points:", 1))
+    rig = load_rig(folder / "rig.yaml")
+    capture = rig.capture
+    assert (capture.trigger, capture.pixel_format, capture.offset) == ("Line1", "Mono12p", (8, 16))
+    assert (capture.stamp, capture.delay_us) == ("end", -40.0)
+    alpha, bravo = rig.robots
+    assert rig.follows_world
+    assert alpha.T_world_fixed is not None
+    assert alpha.T_world_fixed.position.tolist() == [0.4, 0.3, 0.0]
+    assert bravo.T_world_fixed is None
+
+
 def test_without_world_poses_are_in_the_cameras_frame(folder: Path) -> None:
     text = RIG[: RIG.index("world:")] + RIG[RIG.index("robots:") :].replace(
         "    normal: {world: [0, 0, 1], within_deg: 40}\n", ""
@@ -115,6 +131,15 @@ LED = "      - [0.050, 0.000, 0.012]\n"
             "line_time_us: 14800",
             "capture.line_time_us: 14800, expected us from one row to the next, at most 1000; is that ns, or the time "
             "of all rows?",
+        ),
+        ("bits: 10", "delay_us: 2e9", "capture.delay_us: 2e+09, expected us from mid-exposure to the stamp"),
+        ("bits: 10", "stamp: begin", "capture.stamp: 'begin', expected one of start, middle, end"),
+        ("bits: 10", "offset: [8, -8]", "capture.offset: [8, -8], expected two whole numbers of px, at least 0"),
+        ("world:", "world:\n  follow: 'yes'", "world.follow: 'yes', expected true or false"),
+        (
+            "    points:",
+            "    fixed: {position: [0.4, 0.3, 0.0]}\n    points:",
+            "robots.alpha.fixed.orientation: is missing",
         ),
         ("[1.0, 0.0, 0.0, 0.0]", "[1.0, 0.0, 0.0, 1.0]", "world.orientation: a quaternion of length 1.41421"),
         ("axis: [0, 0, 2]", "axis: [0, 0, 0]", "robots.alpha.led.axis: [0, 0, 0] has no direction"),
@@ -208,7 +233,8 @@ def test_other_words_for_a_key_are_understood(folder: Path, old: str, new: str, 
     assert words in refusal(folder, RIG.replace(old, new, 1))
 
 
-CAPTURE_KEYS = ("rate", "exposure_us", "gain", "bits", "size", "line_time_us")
+CAPTURE_KEYS = ("rate", "exposure_us", "gain", "bits", "size", "line_time_us", "offset", "pixel_format")
+CAPTURE_KEYS += ("trigger", "stamp", "delay_us")
 
 
 def test_every_word_stands_for_a_key_that_is_accepted() -> None:

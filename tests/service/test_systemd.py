@@ -9,13 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from asterism.protocol.rig import load_rig
 from asterism.server.service.serve import Outlets, Run, Stop
 from asterism.server.service.systemd import OFTENER, Systemd
 from asterism.server.simulation.demo_rig import DEMO_RIG
-from asterism.server.sources.camera import Camera
+from asterism.server.sources.camera import Camera, Taken
 from tests.helpers import REPOSITORY
 from tests.service.nobody import Nobody
 
@@ -105,10 +104,10 @@ class Device:
         self.hang = hang
         self.images = 1
 
-    def read(self) -> NDArray[np.uint8] | None:
+    def read(self) -> Taken | None:
         if self.images:
             self.images -= 1
-            return np.zeros((1024, 1280), np.uint8)
+            return Taken(np.zeros((1024, 1280), np.uint8))
         self.hang.wait(TIMEOUT_S)
         return None
 

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from asterism.protocol.capture import Capture
 from asterism.protocol.errors import InputError, WorldError
-from asterism.protocol.rig import Capture, Rig
+from asterism.protocol.messages import Clock
+from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame
 from asterism.server.service.threads import Feed, Ticker
-from asterism.server.sources.camera import Camera
+from asterism.server.sources.camera import Camera, Taken
 from asterism.server.sources.images import UnreadableImage, read_pages, to_grey8
 from asterism.server.sources.open_source import open_source
 from asterism.server.sources.paced import paced
@@ -166,9 +168,9 @@ class FakeDevice:
         self.left = images
         self.closed = False
 
-    def read(self) -> NDArray[np.uint8] | None:
+    def read(self) -> Taken | None:
         self.left -= 1
-        return pattern(self.left) if self.left >= 0 else None
+        return Taken(pattern(self.left)) if self.left >= 0 else None
 
     def close(self) -> None:
         self.closed = True
@@ -195,6 +197,20 @@ def test_a_camera_that_vanishes_is_said_waited_for_and_taken_up_again() -> None:
     assert all(frame.arrived_ns == frame.exposed_ns for frame in frames)
 
 
+def test_frames_carry_mid_exposure_by_the_clock_that_tells_less_the_delay() -> None:
+    rig = Rig(SMALL, RIG.robots, capture=Capture(delay_us=250.0))
+    began_ns = time.monotonic_ns()
+    taken = [Taken(pattern(0), began_ns - 7_000_000, Clock.CAMERA), Taken(pattern(1)), None]
+    device = FakeDevice(0)
+    device.read = lambda: taken.pop(0)  # type: ignore[method-assign]
+    camera = Camera("cam", lambda: device, rig, silent)
+    stamped, unstamped = itertools.islice(camera.frames(), 2)
+    assert (stamped.clock, unstamped.clock) == (Clock.CAMERA, Clock.ARRIVAL)
+    assert stamped.exposed_ns == camera.clock.at_ns(began_ns - 7_000_000, stamped.session) - 250_000
+    assert stamped.arrived_ns > stamped.exposed_ns
+    assert unstamped.exposed_ns == unstamped.arrived_ns - 250_000
+
+
 def test_a_camera_that_does_not_open_is_the_worlds_fault() -> None:
     with pytest.raises(WorldError, match=r"/dev/video9: the camera does not open \(tried V4L2 device /dev/video9\)"):
         Camera("/dev/video9", lambda: None, RIG, silent)
@@ -202,7 +218,7 @@ def test_a_camera_that_does_not_open_is_the_worlds_fault() -> None:
 
 def test_camera_images_of_another_size_are_refused() -> None:
     device = FakeDevice(1)
-    device.read = lambda: np.zeros((10, 10), np.uint8)  # type: ignore[method-assign]
+    device.read = lambda: Taken(np.zeros((10, 10), np.uint8))  # type: ignore[method-assign]
     with pytest.raises(InputError, match="the image is 10x10, expected 64x48"):
         next(Camera("cam", lambda: device, RIG, silent).frames())
 
