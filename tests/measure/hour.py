@@ -24,14 +24,13 @@ from rich.table import Table
 
 from asterism.protocol.messages import FRAME_REPORT, ODOMETRY
 from asterism.recordings.reader import Recording
-from tests.helpers import REPOSITORY
 from tests.measure.latency import cpu_s
-from tests.measure.looped_camera import write_film
+from tests.measure.looped_camera import serve_film
 from tests.measure.serving import resident_mb
 from tests.measure.ten_robots import write_ten_robots
 from tests.servers import free_endpoint
 
-RATE_HZ, FILM, PARTS = 60, 240, 10
+RATE_HZ, PARTS = 60, 10
 # Counts what arrives until its input is closed; every line asked for tells what came since the last.
 PLAIN = """
 import json, sys, time
@@ -100,23 +99,9 @@ class Listening:
         self._process.communicate()
 
 
-def wait_for_words(server: subprocess.Popen[bytes], log: Path, words: str) -> None:
-    """Until a server's log holds them."""
-    while words not in log.read_text():
-        assert server.poll() is None, log.read_text()
-        time.sleep(0.2)
-
-
 def serve_ten(folder: Path, endpoint: str, rate_hz: float, *options: str | Path) -> subprocess.Popen[bytes]:
     """Start a server of ten robots, and wait until it serves; its log is in the folder."""
-    rig, film, log = write_ten_robots(folder, rate_hz), folder / "film.npy", folder / "log.txt"
-    if not film.exists():
-        write_film(rig, rate_hz, FILM, film)
-    command = [sys.executable, "-m", "tests.measure.looped_camera", film, str(rate_hz), rig, "--listen", endpoint]
-    with log.open("w") as stream:
-        server = subprocess.Popen([*command, *options], stderr=stream, cwd=REPOSITORY)
-    wait_for_words(server, log, "serving")
-    return server
+    return serve_film(write_ten_robots(folder, rate_hz), folder, rate_hz, "--listen", endpoint, *options)
 
 
 def lost(recording: Path, plain: dict[str, Any], client: dict[str, Any]) -> dict[str, int]:

@@ -1,15 +1,16 @@
 """From a frame in memory to a callback in another process, with and without recording, side by side:
 `python -m tests.measure.latency [PAIRS] [SECONDS]`.
 
-`asterism serve sim` of the demo rig (five robots, 60 Hz) runs for SECONDS (default 10), by turns without a recording,
-with all frames and with the windows around spots. Another process, with a PoseClient, tells when its callback was
-called with each of one robot's poses; the frame report tells when that frame was in memory. Printed: median and 99 %
-of all runs, the median over PAIRS (default 10) of the ratio of the 99 % with a recording to that without one, poses
-lost, and the server's processor time a frame.
+`asterism serve` of the demo rig (five robots, 60 Hz) before a camera that shows a film (`looped_camera`) runs for
+SECONDS (default 10), by turns without a recording, with all frames and with the windows around spots. Another process,
+with a PoseClient, tells when its callback was called with each of one robot's poses; the frame report tells when that
+frame was in memory. Printed: median and 99 % of all runs, the median over PAIRS (default 10) of the ratio of the 99 %
+with a recording to that without one, poses lost, and the server's processor time a frame.
 """
 
 import json
 import os
+import signal
 import statistics
 import subprocess
 import sys
@@ -22,7 +23,8 @@ from rich.console import Console
 from rich.table import Table
 
 from asterism.server.simulation.demo_rig import DEMO_RIG
-from tests.servers import free_endpoint, running, wait_for_line
+from tests.measure.looped_camera import serve_film
+from tests.servers import free_endpoint
 
 KINDS: dict[str, tuple[str, ...]] = {
     "none": (),
@@ -54,6 +56,7 @@ with PoseClient(sys.argv[1]) as robots, zenoh.open(client_config(sys.argv[1])) a
     took = [(called[k] - arrived[k]) * 1e-6 for k in numbers if k in called and k in arrived]
     print(json.dumps({"ms": took, "lost": len(numbers) - len(took), "frames": len(numbers)}), flush=True)
 """
+RATE_HZ = 60
 TICKS = os.sysconf("SC_CLK_TCK")
 
 
@@ -76,16 +79,19 @@ def run(kind: str, seconds: float) -> Run:
     endpoint = free_endpoint()
     with tempfile.TemporaryDirectory() as folder:
         record = ("--record", folder, *KINDS[kind]) if KINDS[kind] else ()
-        with running("serve", DEMO_RIG, "sim", "--listen", endpoint, *record) as server:
-            wait_for_line(server, "serving")
+        server = serve_film(DEMO_RIG, Path(folder), RATE_HZ, "--listen", endpoint, *record)
+        try:
             before = cpu_s(server.pid)
             done = subprocess.run(
                 [sys.executable, "-c", CLIENT, endpoint, str(seconds)], capture_output=True, text=True, check=True
             )
             used = cpu_s(server.pid) - before
+        finally:
+            server.send_signal(signal.SIGINT)
+            server.wait(timeout=60)
     told = json.loads(done.stdout)
     # The second before counts its frames too.
-    return Run(told["ms"], told["lost"], 1e3 * used / (told["frames"] + 60))
+    return Run(told["ms"], told["lost"], 1e3 * used / (told["frames"] + RATE_HZ))
 
 
 def main(pairs: int = 10, seconds: float = 10.0) -> None:

@@ -4,6 +4,7 @@
 FILM.npy holds frames (n, h, w) uint8; the server's source is a camera as any other, which does not wait.
 """
 
+import subprocess
 import sys
 import time
 from itertools import chain, cycle
@@ -18,6 +19,7 @@ from asterism.server.command import serve
 from asterism.server.simulation.simulate import Scene
 from asterism.server.sources.camera import Camera, Taken
 from asterism.server.sources.source import Say
+from tests.helpers import REPOSITORY
 
 
 class LoopedDevice:
@@ -50,6 +52,22 @@ def write_film(rig_file: Path, rate_hz: float, frames: int, out: Path) -> None:
     for k in range(frames):
         film[k] = scene.render(k, scene.truth(k, k / rate_hz))
     film.flush()
+
+
+def serve_film(
+    rig: Path, folder: Path, rate_hz: float, *options: str | Path, frames: int = 240
+) -> subprocess.Popen[bytes]:
+    """Start `serve` of a rendered film of so many frames, and wait until it serves; film and log are in the folder."""
+    film, log = folder / "film.npy", folder / "log.txt"
+    if not film.exists():
+        write_film(rig, rate_hz, frames, film)
+    command = [sys.executable, "-m", "tests.measure.looped_camera", film, str(rate_hz), rig, *options]
+    with log.open("w") as stream:
+        server = subprocess.Popen(command, stderr=stream, cwd=REPOSITORY)
+    while "serving" not in log.read_text():
+        assert server.poll() is None, log.read_text()
+        time.sleep(0.2)
+    return server
 
 
 if __name__ == "__main__":

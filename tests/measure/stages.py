@@ -1,13 +1,14 @@
 """Where the time goes between a frame in memory and a callback in another process, stage by stage:
 `python -m tests.measure.stages [SECONDS] [KIND]`.
 
-`asterism serve` plays images of the demo rig (five robots, 60 Hz) for SECONDS (default 10), recording KIND (none, all,
-spots; default none); another process listens with a PoseClient to all robots. Times of the server are those that its
-messages tell: arrived, solved, published. Printed: median, 90 and 99 % of every stage, ms, of all poses and of those of
-the first robot, which are published first.
+`asterism serve` of the demo rig (five robots, 60 Hz) before a camera that shows a film (`looped_camera`) for SECONDS
+(default 10), recording KIND (none, all, spots; default none); another process listens with a PoseClient to all robots.
+Times of the server are those that its messages tell: arrived, solved, published. Printed: median, 90 and 99 % of every
+stage, ms, of all poses; of the whole way also those of the first robot, which is published first, and of the last.
 """
 
 import json
+import signal
 import subprocess
 import sys
 import tempfile
@@ -22,7 +23,8 @@ from asterism.protocol.rig import load_rig
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.measure.latency import KINDS
-from tests.servers import asterism, free_endpoint, running, wait_for_line
+from tests.measure.looped_camera import serve_film
+from tests.servers import free_endpoint
 
 CLIENT = """
 import json, sys, time
@@ -54,22 +56,25 @@ STAGES = (
     "decoded, checked, callback",
 )
 SETTLED_S = 1.5  # what starts is not what is measured
-SPARE_S = 20.0  # of film, while programs start
+RATE_HZ = 60
 
 
-def run(seconds: float, kind: str, frames: Path) -> tuple[np.ndarray, list[str]]:
+def run(seconds: float, kind: str) -> tuple[np.ndarray, list[str]]:
     """The times of every pose (n, 5), ns, and whose they are."""
     endpoint = free_endpoint()
-    with tempfile.TemporaryDirectory() as folder:
-        record = ("--record", folder, *KINDS[kind]) if KINDS[kind] else ()
-        with running("serve", DEMO_RIG, frames, "--rate", "60", "--listen", endpoint, *record) as server:
-            wait_for_line(server, "serving")
+    with tempfile.TemporaryDirectory() as place:
+        record = ("--record", place, *KINDS[kind]) if KINDS[kind] else ()
+        server = serve_film(DEMO_RIG, Path(place), RATE_HZ, "--listen", endpoint, *record)
+        try:
             done = subprocess.run(
                 [sys.executable, "-c", CLIENT, endpoint, str(seconds + SETTLED_S)],
                 capture_output=True,
                 text=True,
                 check=True,
             )
+        finally:
+            server.send_signal(signal.SIGINT)
+            server.wait(timeout=60)
     told = json.loads(done.stdout)
     first_ns = told[0][0] + SETTLED_S * 1e9
     told = [row for row in told if row[0] >= first_ns]
@@ -84,17 +89,7 @@ def add(table: Table, label: str, ms: np.ndarray) -> None:
 def main(seconds: float, kind: str) -> None:
     """Measure and print."""
     warm_up(*localizing(load_rig(DEMO_RIG)))
-    with tempfile.TemporaryDirectory() as place:
-        made = asterism("simulate", DEMO_RIG, place, "--frames", 120)
-        if made.returncode:
-            sys.exit(made.stderr)
-        # There and back again, as often as it takes.
-        files = sorted((Path(place) / "frames").iterdir())
-        (film := Path(place) / "film").mkdir()
-        for index in range(int((seconds + SPARE_S) * 60)):
-            way = index % (2 * len(files))
-            (film / f"{index:06d}.png").symlink_to(files[min(way, 2 * len(files) - 1 - way)])
-        times, robots = run(seconds, kind, film)
+    times, robots = run(seconds, kind)
     table = Table(title=f"{len(times)} poses, recording {kind}", box=box.SIMPLE_HEAD, pad_edge=False)
     for heading in ("stage", "p50 ms", "p90", "p99"):
         table.add_column(heading, justify="left" if heading == "stage" else "right")
