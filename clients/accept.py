@@ -1,6 +1,7 @@
 """What a client takes for a pose: a forged or damaged message must not drive a robot."""
 
 import math
+from operator import mul
 
 from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import RobotPose
@@ -53,9 +54,9 @@ def is_covariance(matrix: Floats) -> bool:
             most = sigmas[i] * sigmas[j]
             if not (abs(row[j]) <= (1.0 + UNEVEN) * most and abs(row[j] - rows[j][i]) <= UNEVEN * most):
                 return False
-            told = sum(a * b for a, b in zip(line, factor[j], strict=False))
+            told = sum(map(mul, line, factor[j]))  # of as many as the shorter one has
             line.append((row[j] / most - told) / factor[j][j])
-        left = 1.0 + UNEVEN - sum(a * a for a in line)
+        left = 1.0 + UNEVEN - sum(map(mul, line, line))
         if left <= 0.0:
             return False
         factor.append([*line, math.sqrt(left)])

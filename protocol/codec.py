@@ -112,7 +112,7 @@ def _velocity(message: Odometry, metadata: dict[str, str]) -> Velocity | None:
     return Velocity(
         np.array([v.x, v.y, v.z]),
         np.array([w.x, w.y, w.z]),
-        np.array(message.velocity_covariance).reshape(6, 6),
+        np.array(message.velocity_covariance[:]).reshape(6, 6),
         (linear, angular),
     )
 
@@ -168,7 +168,7 @@ def decode_odometry(payload: bytes) -> RobotPose:
             robot=message.body_frame_id,
             frame_id=message.frame_id,
             pose=Pose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])),
-            covariance=np.array(message.pose_covariance).reshape(6, 6),
+            covariance=np.array(message.pose_covariance[:]).reshape(6, 6),
             state=metadata["state"],
             leds=int(metadata["leds"]),
             rms_px=float(metadata["rms_px"]),

@@ -19,8 +19,9 @@ Floats = NDArray[np.float64]
 def frozen_array(values: Any, *shape: int) -> Floats:
     """A read-only float64 copy of ``values`` with exactly ``shape``; -1 stands for any length."""
     array = np.array(values, dtype=np.float64)
-    fits = array.ndim == len(shape) and all(want in (-1, have) for want, have in zip(shape, array.shape, strict=True))
-    assert fits, f"shape {array.shape}, expected {shape}"
+    if array.shape != shape:
+        free = array.ndim == len(shape) and all(n in (-1, have) for n, have in zip(shape, array.shape, strict=True))
+        assert free, f"shape {array.shape}, expected {shape}"
     array.setflags(write=False)
     return array
 
@@ -33,7 +34,7 @@ class Pose:
     orientation: Floats  # (4,) x y z w, unit, w >= 0
 
     def __post_init__(self) -> None:
-        x, y, z, w = (float(v) for v in self.orientation)
+        x, y, z, w = map(float, self.orientation)
         norm = math.sqrt(x * x + y * y + z * z + w * w)
         assert norm > 0.0, "a quaternion of zero length is no rotation"
         scale = 1.0 / norm if w >= 0.0 else -1.0 / norm

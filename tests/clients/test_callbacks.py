@@ -27,7 +27,8 @@ def test_a_callback_that_raises_is_told_once_and_starves_nobody(
         take_back = feed.on_pose(lambda _: called.append("other"))
         until(lambda: server.tell() or called.count("other") > 3)
         assert called.count("raises") > 3
-        assert [record.exc_info is not None for record in caplog.records] == [True]
+        told = [record for record in caplog.records if record.name == Callbacks.__module__]  # a busy link has its own
+        assert [record.exc_info is not None for record in told] == [True]
         feed.off_pose(raises)
         take_back()
         take_back()  # twice is no mistake
