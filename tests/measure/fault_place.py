@@ -33,15 +33,16 @@ with PoseClient(sys.argv[1]) as robots:
     feed, before = robots["alpha"], None
     print(json.dumps({"at": time.monotonic(), "up": True}), flush=True)
     while True:
+        asked = {"at": time.monotonic(), "wall": time.time_ns()}  # should it be stopped behind this
         pose = feed.latest(0.1)
         state = robots.link.state.name
         told = None if pose is None else (pose.session, pose.sequence)
         if (told, state) != before:
             before = told, state
-            line = {"at": time.monotonic(), "state": state}
+            line = {**asked, "state": state}
             if pose is not None:
                 line |= {"sequence": pose.sequence, "session": pose.session, "exposed": pose.exposed_ns,
-                         "position": pose.position.tolist(), "wall": time.time_ns()}
+                         "position": pose.position.tolist()}
             print(json.dumps(line), flush=True)
         time.sleep(0.002)
 """
