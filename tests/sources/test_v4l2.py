@@ -1,0 +1,376 @@
+"""V4L2 cameras from their buffers to frames: pixels, times, what is lost, loss and return, names."""
+
+import errno
+import itertools
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from asterism.protocol.capture import Capture
+from asterism.protocol.errors import InputError, WorldError
+from asterism.protocol.messages import Clock
+from asterism.protocol.rig import Rig
+from asterism.server.chain.frame import Frame
+from asterism.server.sources import v4l2_abi as abi
+from asterism.server.sources.camera import Camera, Taken
+from asterism.server.sources.v4l2 import V4l2Opener, v4l2_camera
+from asterism.server.sources.v4l2_place import best_names, is_v4l2, name_of
+from tests.rigs import make_camera, make_rig
+from tests.sources import v4l2_stand_in
+from tests.sources.v4l2_stand_in import MONOTONIC_AT_START, StandInCamera, StandInSystem, grey_frame
+
+SIZE = (64, 48)
+NOW_NS = 50_000_000_000
+RIG = make_rig(2, camera=make_camera(*SIZE, 80.0))
+PLAIN = Capture()
+
+
+def silent(text: str) -> None:
+    """Nobody listens."""
+
+
+def one(camera: StandInCamera, capture: Capture = PLAIN, said: list[str] | None = None) -> Taken | None:
+    """The first frame of a camera."""
+    say = silent if said is None else said.append
+    opener = V4l2Opener("/dev/video0", capture, SIZE, say, system=StandInSystem(video0=camera))
+    opener.monotonic_ns = lambda: NOW_NS
+    device = opener()
+    assert device is not None
+    taken = device.read()
+    device.close()
+    return taken
+
+
+def put(
+    camera: StandInCamera, data: bytes, stamp_ns: int = NOW_NS - 1_000_000, flags: int = MONOTONIC_AT_START
+) -> None:
+    camera.frames.append(v4l2_stand_in.Frame(data, stamp_ns, 7, flags))
+
+
+def padded(rows: np.ndarray, more: int) -> bytes:
+    """Rows of bytes, each followed by so many that mean nothing."""
+    return np.hstack([rows, np.full((len(rows), more), 99, np.uint8)]).tobytes()
+
+
+@pytest.mark.parametrize("more", [0, 12])
+@pytest.mark.parametrize(
+    ("fourcc", "bits"), [("GREY", 8), ("NV12", 8), ("Y10", 10), ("Y12", 12), ("Y14", 14), ("Y16", 16)]
+)
+def test_grey_is_read_exactly_and_its_upper_eight_bits_kept(
+    rng: np.random.Generator, fourcc: str, bits: int, more: int
+) -> None:
+    camera = StandInCamera(formats={fourcc: {SIZE: [60.0]}}, fourcc=fourcc, stride_more=more)
+    image = rng.integers(0, 1 << bits, SIZE[::-1]).astype("<u2" if bits > 8 else np.uint8)
+    put(camera, padded(image.view(np.uint8), more))
+    taken = one(camera)
+    assert taken is not None
+    np.testing.assert_array_equal(taken.image, image >> (bits - 8))
+    assert taken.image.dtype == np.uint8
+
+
+@pytest.mark.parametrize(("fourcc", "first"), [("YUYV", 0), ("UYVY", 1)])
+def test_of_yuv_the_luminance_is_taken(rng: np.random.Generator, fourcc: str, first: int) -> None:
+    camera = StandInCamera(formats={fourcc: {SIZE: [60.0]}}, fourcc=fourcc, stride_more=4)
+    rows = rng.integers(0, 256, (SIZE[1], SIZE[0] * 2)).astype(np.uint8)
+    put(camera, padded(rows, 4))
+    taken = one(camera)
+    assert taken is not None
+    np.testing.assert_array_equal(taken.image, rows[:, first::2])
+
+
+def test_16_bit_pixels_that_hold_fewer_are_read_by_the_rigs_bits(rng: np.random.Generator) -> None:
+    camera = StandInCamera(formats={"Y16": {SIZE: [60.0]}}, fourcc="Y16")
+    image = rng.integers(0, 1 << 12, SIZE[::-1]).astype("<u2")
+    put(camera, image.tobytes())
+    taken = one(camera, Capture(bits=12))
+    assert taken is not None
+    np.testing.assert_array_equal(taken.image, image >> 4)
+
+
+def jpeg(seed: int, size: tuple[int, int] = SIZE) -> bytes:
+    smooth = cv2.GaussianBlur(np.random.default_rng(seed).integers(0, 256, size[::-1]).astype(np.uint8), (0, 0), 4)
+    return bytes(cv2.imencode(".jpg", cv2.cvtColor(smooth, cv2.COLOR_GRAY2BGR), [cv2.IMWRITE_JPEG_QUALITY, 95])[1])
+
+
+def test_damaged_images_are_counted_said_and_skipped() -> None:
+    camera = StandInCamera(formats={"MJPG": {SIZE: [60.0]}}, fourcc="MJPG")
+    whole = jpeg(1)
+    now_ns = time.monotonic_ns()
+    for data in (whole[: len(whole) // 2], b"", jpeg(2, (32, 24)), whole[:300] + whole[-200:]):
+        put(camera, data, now_ns)
+    put(camera, whole, now_ns, MONOTONIC_AT_START | abi.BUF_ERROR)
+    put(camera, whole + bytes(500), now_ns)
+    said: list[str] = []
+    source = v4l2_camera("0", RIG, said.append, StandInSystem(video0=camera))
+    frame = next(source.frames())
+    expected = cv2.imdecode(np.frombuffer(whole, np.uint8), cv2.IMREAD_GRAYSCALE)
+    np.testing.assert_array_equal(frame.image, expected)
+    assert source.unreadable == 5
+    assert said == [
+        "/dev/video0: damaged images, skipped: 1 so far; the last is cut off",
+        "/dev/video0: damaged images, skipped: 2 so far; the last is no JPEG image",
+        "/dev/video0: damaged images, skipped: 4 so far; the last is no whole image",
+    ]
+
+
+def test_a_buffer_that_is_too_short_is_damaged() -> None:
+    camera = StandInCamera()
+    put(camera, bytes(SIZE[0] * SIZE[1] - 1))
+    said: list[str] = []
+    assert one(camera, said=said) is None  # nothing else came
+    assert said == ["/dev/video0: damaged images, skipped: 1 so far; the last is cut off after 3071 of 3072 bytes"]
+
+
+@pytest.mark.parametrize(
+    ("flags", "capture", "middle_us"),
+    [
+        (MONOTONIC_AT_START, Capture(), 250.0),
+        (abi.STAMP_MONOTONIC, Capture(), -250.0),
+        (abi.STAMP_MONOTONIC, Capture(stamp="start", stamp_given=True), 250.0),
+        (abi.STAMP_MONOTONIC, Capture(stamp="middle", stamp_given=True), 0.0),
+        (MONOTONIC_AT_START, Capture(stamp="end", stamp_given=True), -250.0),
+    ],
+)
+def test_mid_exposure_is_half_the_exposure_from_the_drivers_stamp(
+    flags: int, capture: Capture, middle_us: float
+) -> None:
+    controls = {abi.EXPOSURE_AUTO: [0, 3, 1, 1], abi.EXPOSURE_ABSOLUTE: [1, 1000, 1, 5]}
+    camera = StandInCamera(controls=controls)
+    put(camera, bytes(SIZE[0] * SIZE[1]), NOW_NS - 20_000_000, flags)
+    taken = one(camera, capture)
+    assert taken is not None
+    assert (taken.clock, taken.mid_ns) == (Clock.DRIVER, NOW_NS - 20_000_000 + round(middle_us * 1e3))
+
+
+@pytest.mark.parametrize(
+    ("stamp_ns", "flags", "why"),
+    [
+        (NOW_NS - 1_000_000, abi.STAMP_AT_START, "are not of the monotonic clock"),
+        (0, MONOTONIC_AT_START, "are zero"),
+        (NOW_NS + 3_000_000, MONOTONIC_AT_START, "lie in the future, by 3 ms"),
+        (NOW_NS - 8_000_000_000, MONOTONIC_AT_START, "are 8 s old when frames come"),
+    ],
+)
+def test_stamps_that_cannot_be_are_said_once_and_arrival_counts(stamp_ns: int, flags: int, why: str) -> None:
+    camera = StandInCamera()
+    for _ in range(3):
+        put(camera, bytes(SIZE[0] * SIZE[1]), stamp_ns, flags)
+    put(camera, bytes(SIZE[0] * SIZE[1]))
+    said: list[str] = []
+    opener = V4l2Opener("/dev/video0", Capture(), SIZE, said.append, system=StandInSystem(video0=camera))
+    opener.monotonic_ns = lambda: NOW_NS
+    device = opener()
+    assert device is not None
+    clocks = [taken.clock for _ in range(4) if (taken := device.read()) is not None]
+    assert clocks == [Clock.ARRIVAL] * 3 + [Clock.DRIVER]
+    assert said == [f"/dev/video0: the driver's time stamps {why}; such frames are stamped when they arrive"]
+
+
+def test_lost_frames_show_in_the_numbers_and_are_counted() -> None:
+    camera = StandInCamera()
+    camera.frames.extend(grey_frame(number) for number in (0xFFFFFFFE, 0xFFFFFFFF, 0, 3, 4, 9, 2))
+    said: list[str] = []
+    opener = V4l2Opener("/dev/video0", Capture(), SIZE, said.append, system=StandInSystem(video0=camera))
+    device = opener()
+    assert device is not None
+    assert len([device.read() for _ in range(7)]) == 7
+    assert opener.lost.count == 2 + 4
+    assert [line.rpartition(": ")[2] for line in said] == ["2 so far", "6 so far"]
+
+
+def test_buffers_are_returned_and_images_stay_when_the_driver_writes_again() -> None:
+    camera = StandInCamera(endless=grey_frame)
+    device = V4l2Opener("/dev/video0", Capture(), SIZE, silent, system=StandInSystem(video0=camera))()
+    assert device is not None
+    images = [taken.image for _ in range(20) if (taken := device.read()) is not None]
+    assert [int(image[5, 5]) for image in images] == list(range(20))
+    device.close()
+    assert camera.streams is None
+
+
+def test_a_silent_camera_is_gone_within_a_second_and_a_slow_one_is_waited_for() -> None:
+    for rate, least, most in ((30.0, 0.5, 1.0), (1.0, 2.0, 4.0)):
+        camera = StandInCamera(formats={"GREY": {SIZE: [rate]}}, rate=rate)
+        camera.frames.append(grey_frame(0))
+        system = StandInSystem(video0=camera)
+        device = V4l2Opener("/dev/video0", Capture(), SIZE, silent, system=system)()
+        assert device is not None
+        assert device.read() is not None
+        assert device.read() is None
+        assert least < system.waits[-1] < most
+
+
+def frames_of(source: Camera) -> Iterator[Frame]:
+    source.retry_s = 0.001
+    return source.frames()
+
+
+def opened(system: StandInSystem, text: str, said: list[str], capture: Capture = PLAIN) -> Camera:
+    rig = Rig(RIG.camera, RIG.robots, capture=capture)
+    return v4l2_camera(text, rig, said.append, system)
+
+
+def test_a_camera_pulled_out_is_found_under_another_number_by_its_serial_with_all_settings() -> None:
+    controls = {abi.EXPOSURE_ABSOLUTE: [1, 1000, 1, 200], abi.EXPOSURE_AUTO: [0, 3, 1, 3], abi.GAIN: [0, 9, 1, 0]}
+    hardware = ("046d:082d:ABC", "0")
+
+    def plugged(bus: str) -> StandInCamera:
+        fresh = {number: list(values) for number, values in controls.items()}
+        return StandInCamera(bus=bus, hardware=hardware, controls=fresh, endless=grey_frame)
+
+    stranger = StandInCamera(bus="usb-2", hardware=("046d:082d:XYZ", "0"), endless=grey_frame)
+    camera = plugged("usb-1")
+    system = StandInSystem(video0=camera, video1=stranger)
+    said: list[str] = []
+    source = opened(system, "0", said, Capture(exposure_us=500.0, gain=3.0))
+    frames = frames_of(source)
+    assert [frame.index for frame in itertools.islice(frames, 3)] == [0, 1, 2]
+    camera.unplug()
+    back = plugged("usb-7")
+    system.cameras |= {"/dev/video0": stranger, "/dev/video1": camera, "/dev/video4": back}
+    assert next(frames).index == 3
+    assert said == [
+        "/dev/video0: the camera vanished; waiting for it",
+        "/dev/video0: the camera is /dev/video4 by now",
+        "/dev/video0: the camera is back",
+    ]
+    assert source.name == "/dev/video0"
+    assert (back.controls[abi.EXPOSURE_ABSOLUTE][3], back.controls[abi.GAIN][3]) == (5, 3)
+    assert stranger.streams is None
+
+
+@pytest.mark.parametrize("serial", ["", "dead:beef:SN0001"])
+def test_without_a_serial_of_its_own_the_same_socket_is_the_same_camera(serial: str) -> None:
+    """Two of one make, without numbers or with the same: the other one is never taken for it."""
+    ours, twin = (StandInCamera(bus=bus, hardware=(serial, "0"), endless=grey_frame) for bus in ("usb-1", "usb-2"))
+    system = StandInSystem(video0=ours, video2=twin)
+    opener = V4l2Opener("/dev/video0", Capture(), SIZE, silent, system=system)
+    device = opener()
+    assert device is not None
+    ours.unplug()
+    assert device.read() is None
+    device.close()
+    system.cameras["/dev/video0"] = twin
+    assert opener() is None
+    system.cameras["/dev/video5"] = StandInCamera(bus="usb-1", hardware=(serial, "0"))
+    assert opener() is not None
+    assert system.cameras["/dev/video5"].streams is not None
+
+
+def test_another_node_of_the_same_camera_is_not_taken_for_it() -> None:
+    hardware = "8086:0b07:77"
+    depth, colour = (StandInCamera(hardware=(hardware, part), endless=grey_frame) for part in ("0", "2"))
+    system = StandInSystem(video0=depth, video1=colour)
+    opener = V4l2Opener("/dev/video0", Capture(), SIZE, silent, system=system)
+    assert opener() is not None
+    depth.unplug()
+    assert opener() is None
+
+
+def test_a_link_is_followed_anew_every_time_and_keeps_its_name(tmp_path: Path) -> None:
+    link = tmp_path / "usb-cam-index0"
+    link.symlink_to("/dev/video90")
+    first, second = StandInCamera(endless=grey_frame), StandInCamera(endless=grey_frame)
+    system = StandInSystem(video90=first)
+    said: list[str] = []
+    source = opened(system, str(link), said)
+    frames = frames_of(source)
+    next(frames)
+    first.unplug()
+    link.unlink()
+    link.symlink_to("/dev/video93")
+    system.cameras["/dev/video93"] = second
+    assert next(frames).index == 1
+    assert said == [
+        f"{link}: the camera vanished; waiting for it",
+        f"{link}: the camera is /dev/video93 by now",
+        f"{link}: the camera is back",
+    ]
+    assert source.name == str(link)
+
+
+def test_what_keeps_a_camera_from_coming_back_is_said_once() -> None:
+    camera = StandInCamera(endless=grey_frame)
+    system = StandInSystem(video0=camera)
+    said: list[str] = []
+    opener = V4l2Opener("/dev/video0", Capture(), SIZE, said.append, system=system)
+    device = opener()
+    assert device is not None
+    device.close()
+    camera.streams = 1  # another program
+    assert [opener() for _ in range(3)] == [None] * 3
+    assert len(said) == 1
+    assert "another program has /dev/video0" in said[0]
+    camera.streams = None
+    assert opener() is not None
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        (errno.EACCES, "does not open: no permission for /dev/video0; as root: usermod -aG video USER"),
+        (errno.EBUSY, "does not open: another program has /dev/video0"),
+        (errno.ENXIO, "does not open: there is no /dev/video0; is it plugged in?"),
+        (errno.EIO, "does not open: /dev/video0: Input/output error"),
+    ],
+)
+def test_a_camera_that_does_not_open_is_the_worlds_fault(code: int, words: str) -> None:
+    with pytest.raises(WorldError, match=words):
+        opened(StandInSystem(video0=StandInCamera(open_errno=code)), "0", [])
+
+
+def test_a_camera_that_another_program_streams_is_left_alone() -> None:
+    controls = {abi.GAIN: [0, 9, 1, 7]}
+    with pytest.raises(WorldError, match="cannot be set: another program has /dev/video0"):
+        opened(StandInSystem(video0=StandInCamera(streams=1, controls=controls)), "0", [], Capture(gain=1.0))
+    assert controls[abi.GAIN][3] == 7
+
+
+@pytest.mark.parametrize(
+    ("capabilities", "words"),
+    [
+        (0x00800000 | abi.CAP_STREAMING, "gives no images"),
+        (0x4000 | abi.CAP_STREAMING, "is an encoder"),
+        (abi.CAP_CAPTURE_PLANES | abi.CAP_STREAMING, "has its images in planes"),
+        (abi.CAP_CAPTURE, "cannot stream"),
+    ],
+)
+def test_a_node_that_is_no_camera_is_refused(capabilities: int, words: str) -> None:
+    system = StandInSystem(video0=StandInCamera(capabilities=capabilities))
+    with pytest.raises(InputError, match=f"/dev/video0: {words}.*cameras lists what there is"):
+        opened(system, "/dev/video0", [])
+    assert not system.opened
+
+
+def test_a_device_that_is_no_video_node_is_refused(tmp_path: Path) -> None:
+    link = tmp_path / "cam"
+    link.symlink_to("/dev/null")
+    assert not is_v4l2(str(link))
+    with pytest.raises(WorldError, match="/dev/null is no V4L2 device"):
+        V4l2Opener("/dev/null", Capture(), None, silent)()
+
+
+def test_names(tmp_path: Path) -> None:
+    folders = [tmp_path / "by-id", tmp_path / "by-path"]
+    for folder, links in zip(folders, ({"usb-A": 0}, {"pci-1": 0, "pci-2": 1}), strict=True):
+        folder.mkdir()
+        for name, number in links.items():
+            (folder / name).symlink_to(f"/dev/video9{number}")
+    nodes = [f"/dev/video9{number}" for number in range(3)]
+    assert best_names(nodes, [str(folder) for folder in folders]) == {
+        "/dev/video90": str(folders[0] / "usb-A"),
+        "/dev/video91": str(folders[1] / "pci-2"),
+        "/dev/video92": "/dev/video92",
+    }
+    for text in ("0", "12", "/dev/video3", "/dev/v4l/by-id/usb-gone", str(folders[0] / "usb-A")):
+        assert is_v4l2(text)
+    for text in ("frames", "²", "sim", str(tmp_path)):
+        assert not is_v4l2(text)
+    assert name_of("7") == "/dev/video7"
+    for text in ("9" * 30, "/dev/videoX", "/dev/video"):
+        with pytest.raises(InputError, match="expected a V4L2 camera such as 0 or /dev/video0, or a link to one"):
+            name_of(text)
