@@ -72,13 +72,18 @@ class V4l2Device:
         self._stream = Stream(node)
 
     def read(self) -> Taken | None:
-        """The next whole image; None when the camera is gone or silent."""
+        """The next whole image, or the newest where several wait; None when the camera is gone or silent."""
+        late = self._before is not None and self._stream.waits()
         while True:
             try:
                 with self._stream.next(FIRST_S if self._before is None else self._silent_s) as came:
                     if came is None:
                         return None
                     buffer, data = came
+                    self._count(int(buffer.sequence), late)
+                    if late and self._stream.waits():
+                        self._opener.late.add(1)
+                        continue
                     image = self._image(buffer, data)
             except OSError:
                 return None
@@ -91,12 +96,14 @@ class V4l2Device:
         with suppress(OSError):
             self._node.close()
 
-    def _image(self, buffer: abi.Buffer, data: memoryview) -> NDArray[np.uint8] | None:
-        sequence = int(buffer.sequence)
+    def _count(self, sequence: int, late: bool) -> None:
+        """Count the frames that are missing before this one; ``late``: nobody asked for them in time."""
         step = 1 if self._before is None else (sequence - self._before) % (1 << 32)
         self._before = sequence
         if 1 < step < MOST_LOST:
-            self._opener.lost.add(step - 1)
+            (self._opener.late if late else self._opener.lost).add(step - 1)
+
+    def _image(self, buffer: abi.Buffer, data: memoryview) -> NDArray[np.uint8] | None:
         try:
             if buffer.flags & abi.BUF_ERROR:
                 raise Damaged("is said to be so by the driver")
@@ -137,7 +144,8 @@ class V4l2Opener:
         self.name = name
         self.capture = capture
         self.monotonic_ns: Callable[[], int] = time.monotonic_ns
-        self.lost = Counter(f"{name}: frames lost before this machine took them (cable or machine too slow)", say)
+        self.lost = Counter(f"{name}: frames lost on their way (is the cable, or the hub, too slow?)", say)
+        self.late = Counter(f"{name}: frames not taken in time (this machine is busy)", say)
         self._damaged = Counter(f"{name}: damaged images, skipped", say)
         self._size = size
         self._say = say
@@ -145,7 +153,7 @@ class V4l2Opener:
         self._skipped = skipped
         self._system = system
         self._known: Identity | None = None  # once it was open
-        self._path = name
+        self.path = name  # where it was when it was open last
         self._why = ""  # it is not open now
         self._distrusted = False
 
@@ -192,22 +200,24 @@ class V4l2Opener:
         except BaseException:
             node.close()
             raise
-        if self._known is not None and path != self._path:
+        if self._known is not None and path != self.path:
             self._say(f"{self.name}: the camera is {path} by now")
-        self._known, self._path = self._known or identity_here(node), path
+        self._known, self.path = self._known or identity_here(node), path
         return device
 
     def _where(self) -> str | None:
         """A link leads to the camera wherever it is; a number does not."""
         if not NODE.fullmatch(self.name):
             return realpath(self.name)
-        return self.name if self._known is None else find_again(self._known, self._path, self._system)
+        return self.name if self._known is None else find_again(self._known, self.path, self._system)
 
     def _set_up(self, node: Node) -> V4l2Device:
         if problem := node.not_a_camera():
             raise InputError(f"{self.name}: {problem}; {typed('cameras')} lists what there is")
         try:
-            return V4l2Device(node, apply_settings(node, self.capture, self._size, self.name, self._once), self)
+            in_force = apply_settings(node, self.capture, self._size, self.name, self._once)
+            self._size = in_force.layout.width, in_force.layout.height  # the camera may come back with another
+            return V4l2Device(node, in_force, self)
         except OSError as error:
             raise WorldError(f"{self.name}: the camera cannot be set: {trouble(node.path, error)}") from None
 

@@ -67,8 +67,7 @@ def choose(
             raise InputError(_no_format(offers, name, pixel_format))
     fits = [Choice(offer.fourcc, mode) for offer in able if (mode := offer.at(size)) is not None]
     if not fits:
-        has = "; ".join(f"{offer.fourcc} {offer.sizes_text()}" for offer in able)
-        raise InputError(f"{name}: the camera has no images of {size[0]}x{size[1]}; it has {has}")
+        raise InputError(f"{name}: the camera has no images of {size[0]}x{size[1]}; it has {_sizes(able)}")
     best = list(FORMATS)
     return min(fits, key=lambda choice: (-_share(choice.mode, rate_hz), best.index(choice.fourcc)))
 
@@ -90,10 +89,17 @@ def _share(mode: Mode, rate_hz: float | None) -> float:
 
 def _no_format(offers: Sequence[Offer], name: str, pixel_format: str) -> str:
     has = [offer.fourcc for offer in offers]
-    if pixel_format.strip().upper() in has:
-        readable = [fourcc for fourcc in has if fourcc in FORMATS]
-        return f"{name}: capture.pixel_format {pixel_format}: is not read; of what the camera has, {_list(readable)} is"
-    return f"{name}: capture.pixel_format {pixel_format}: the camera lacks it; it has {_list(has)}"
+    why = "is not read" if pixel_format.strip().upper() in has else "the camera lacks it"
+    readable = _list([fourcc for fourcc in has if fourcc in FORMATS])
+    return f"{name}: capture.pixel_format {pixel_format}: {why}; expected one of {readable}"
+
+
+def _sizes(offers: Sequence[Offer]) -> str:
+    """Formats with their sizes, those of the same sizes together."""
+    formats: dict[str, list[str]] = {}
+    for offer in offers:
+        formats.setdefault(offer.sizes_text(), []).append(offer.fourcc)
+    return "; ".join(f"{sizes} ({_list(fourccs)})" for sizes, fourccs in formats.items())
 
 
 def _list(names: list[str]) -> str:

@@ -32,6 +32,10 @@ class Stream:
             self.close()
             raise
 
+    def waits(self) -> bool:
+        """Whether a buffer is filled already."""
+        return self._node.system.wait(self._node.handle, 0.0)
+
     @contextmanager
     def next(self, timeout_s: float) -> Iterator[tuple[abi.Buffer, memoryview] | None]:
         """The next buffer and what is used of it, for as long as the block runs; None: nothing came in that time."""

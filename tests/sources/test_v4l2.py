@@ -182,6 +182,23 @@ def test_lost_frames_show_in_the_numbers_and_are_counted() -> None:
     assert [line.rpartition(": ")[2] for line in said] == ["2 so far", "6 so far"]
 
 
+def test_who_comes_late_gets_the_newest_and_what_was_missed_is_counted_apart() -> None:
+    camera = StandInCamera()
+    said: list[str] = []
+    opener = V4l2Opener("/dev/video0", PLAIN, SIZE, said.append, system=StandInSystem(video0=camera))
+    device = opener()
+    assert device is not None
+    camera.frames.append(grey_frame(1))
+    device.read()
+    camera.ahead = True
+    camera.frames.extend(grey_frame(number) for number in (2, 3, 9))  # the driver had no buffer for those between
+    taken = device.read()
+    assert taken is not None
+    assert taken.image[0, 0] == 9
+    assert (opener.late.count, opener.lost.count) == (2 + 5, 0)
+    assert "/dev/video0: frames not taken in time (this machine is busy): 7 so far" in said
+
+
 def test_buffers_are_returned_and_images_stay_when_the_driver_writes_again() -> None:
     camera = StandInCamera(endless=grey_frame)
     device = V4l2Opener("/dev/video0", Capture(), SIZE, silent, system=StandInSystem(video0=camera))()
@@ -291,6 +308,20 @@ def test_a_link_is_followed_anew_every_time_and_keeps_its_name(tmp_path: Path) -
         f"{link}: the camera is back",
     ]
     assert source.name == str(link)
+
+
+def test_where_nobody_asked_for_a_size_the_first_one_stays() -> None:
+    formats = {"GREY": {(32, 24): [30.0], SIZE: [30.0]}}
+    system = StandInSystem(video0=StandInCamera(formats=formats, size=SIZE, endless=grey_frame))
+    opener = V4l2Opener("/dev/video0", PLAIN, None, silent, system=system)
+    assert opener() is not None
+    system.cameras["/dev/video0"].unplug()
+    system.cameras["/dev/video0"] = StandInCamera(formats=formats, size=(32, 24), endless=grey_frame)
+    device = opener()
+    assert device is not None
+    taken = device.read()
+    assert taken is not None
+    assert taken.image.shape == SIZE[::-1]
 
 
 def test_what_keeps_a_camera_from_coming_back_is_said_once() -> None:

@@ -45,6 +45,7 @@ class StandInCamera:
     refuses: dict[int, int] = field(default_factory=dict)  # errno by request
     open_errno: int = 0
     stride_more: int = 0  # bytes behind every row
+    ahead: bool = False  # frames wait for who comes late; else each comes when it is asked for
     frames: deque[Frame] = field(default_factory=deque)
     endless: Callable[[int], Frame] | None = None  # makes the frame of a sequence number
     there: bool = True
@@ -101,6 +102,8 @@ class StandInSystem:
     def wait(self, device: int, timeout_s: float) -> bool:
         self.waits.append(timeout_s)
         camera = self.opened[device]
+        if not timeout_s and not camera.ahead:
+            return False
         return not camera.there or bool(camera.frames) or camera.endless is not None
 
     def nodes(self) -> list[str]:
