@@ -1,7 +1,6 @@
 """A V4L2 device node: what it is, what it offers, how it is set. All words are the kernel's."""
 
 import errno
-import fcntl
 import mmap
 import os
 import select
@@ -56,12 +55,14 @@ class Kernel:
 
     def open(self, path: str) -> int:
         """See `System`, as below."""
-        return os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+        return os.open(path, os.O_RDWR | getattr(os, "O_NONBLOCK", 0))  # other systems have neither it nor cameras
 
     def close(self, device: int) -> None:
         os.close(device)
 
     def ioctl(self, device: int, request: int, argument: Argument) -> None:
+        import fcntl  # other systems lack it
+
         while True:
             with suppress(InterruptedError):
                 fcntl.ioctl(device, request, argument, True)
