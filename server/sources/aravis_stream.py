@@ -64,7 +64,7 @@ class ArvStream:
         if camera.is_gige():
             set_property(self._pointer, "socket-buffer", c_int, _FIXED)
             set_property(self._pointer, "socket-buffer-size", c_int, max(_SOCKET_BUFFER, payload))
-        self._clocks = (0, 0)  # monotonic and wall clock at the frame before
+        self._clocks = (time.monotonic_ns(), time.time_ns())  # monotonic and wall clock at the frame before
         self._pop = function("arv_stream_timeout_pop_buffer", c_void_p, c_void_p, c_uint64)
         self._push = function("arv_stream_push_buffer", None, c_void_p, c_void_p)
         new = function("arv_buffer_new_allocate", c_void_p, c_size_t)
