@@ -90,10 +90,12 @@ class GenicamDevice:
         self._trigger_due_s = self._newest_s = time.monotonic()
         self._pending = self._gone = False
         self._id: int | None = None
+        self._damaged = 0  # frames since the one of that number
         self._stamp_ns = self._mid_ns = 0
         if camera.is_gige():
             with contextlib.suppress(AravisError):  # some cannot try; then what is set stays
                 camera.negotiate_packets()
+        self._packet_size = camera.packet_size() if camera.is_gige() else 0
         self._stamps = Stamps(camera)
         self._stream = ArvStream(camera, camera.payload())
         try:
@@ -157,18 +159,19 @@ class GenicamDevice:
         self._pending = True
 
     def _taken(self, raw: Raw) -> Taken | Waiting:
-        missed = missed_between(self._id, raw.frame_id)
-        self._id = raw.frame_id
         form = BY_NUMBER.get(raw.format)
         try:
             image = None if form is None else unpacked(raw.data, form, raw.width, raw.height, raw.padding)
         except ValueError:
             image = None
-        whole = raw.status == SUCCESS and image is not None
-        if missed or not whole:
-            self._lost.add(int(not whole), missed, self._camera.packet_size() if self._camera.address else 0)
-        if image is None or form is None or not whole:
-            return Waiting(unreadable=1, missed=missed)
+        if raw.status != SUCCESS or image is None or form is None:
+            self._damaged += 1  # its number cannot be trusted: that comes in the frame's first packet
+            self._lost.add(1, 0, self._packet_size)
+            return Waiting(unreadable=1)
+        missed = max(missed_between(self._id, raw.frame_id) - self._damaged, 0)
+        self._id, self._damaged = raw.frame_id, 0
+        if missed:
+            self._lost.add(0, missed, self._packet_size)
         if self._stream.is_short():
             image = image.copy()
         mid_ns = self._mid_exposure_ns(raw)

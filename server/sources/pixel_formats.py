@@ -33,10 +33,9 @@ def _gige(low_bits: int) -> Callable[[Bytes], NDArray[np.uint16]]:
     def unpack(data: Bytes) -> NDArray[np.uint16]:
         three = data.reshape(-1, 3)
         out = np.empty((len(three), 2), np.uint16)
-        mask = (1 << low_bits) - 1
-        np.left_shift(three[:, ::2], low_bits, out=out, dtype=np.uint16)
-        out[:, 0] |= three[:, 1] & mask
-        out[:, 1] |= three[:, 1] >> 4 & mask
+        between, mask = three[:, 1], (1 << low_bits) - 1
+        for k, low in enumerate((between & mask, between >> 4 & mask)):
+            np.bitwise_or(np.left_shift(three[:, 2 * k], low_bits, dtype=np.uint16), low, out=out[:, k])
         return out.reshape(-1)
 
     return unpack

@@ -1,10 +1,10 @@
 """Aravis' own emulated GigE Vision camera on loopback, showing our images: a real protocol over real sockets.
 
-    python tests/sources/fake_camera.py FILM.npy [--lost RATIO] [--drift PPM] [--offset S] [--formats NAME=0xNUMBER ...]
+    python tests/sources/fake_camera.py FILM.npy [--lost SHARE] [--drift PPM] [--jump AFTER BY] [--xml FILE] [--truth]
 
-FILM.npy holds frames (n, h, w) uint8, or bytes (n, size) of another pixel format; frame k of the camera shows the k-th,
-round and round. Its clock is the host's monotonic one, with an offset and a drift. It prints `ready`. On a line `next`
-on its input it tells the number of frames sent.
+FILM.npy holds frames (n, h, w) uint8, or bytes (n, size) of another pixel format; the k-th frame that is sent shows the
+k-th, round and round. The camera's clock is the host's monotonic one, with an offset and a drift. It prints `ready`; to
+every line on its input it answers with the number of frames sent.
 """
 
 import argparse
@@ -22,6 +22,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+
+from asterism.server.sources.background import wait_for_background
+from asterism.server.sources.pixel_formats import BY_NAME
 
 ADDRESS, SERIAL = "127.0.0.1", "SN42"
 _FILL = CFUNCTYPE(None, c_void_p, c_void_p, c_uint32, c_uint32, c_uint32)
@@ -74,8 +77,32 @@ def fake_camera(folder: Path, film: NDArray[np.uint8], *options: str) -> Iterato
         camera = FakeCamera(folder, film, *options)
         try:
             yield camera
+            wait_for_background(2.0)  # letting go of a camera that is gone takes seconds
         finally:
             camera.unplug()
+
+
+def described(folder: Path, *more: str) -> Path:
+    """The description of a camera that has more than Aravis' own: pixel formats by name, or `feature=value`."""
+    needs_aravis()
+    library = ctypes.CDLL("libaravis-0.8.so.0")
+    new, read = library.arv_fake_camera_new, library.arv_fake_camera_get_genicam_xml
+    new.restype, new.argtypes = c_void_p, [c_char_p]
+    read.restype, read.argtypes = c_void_p, [c_void_p, POINTER(c_size_t)]
+    size = c_size_t()
+    xml = ctypes.string_at(read(new(b"X"), byref(size)), size.value).decode()
+    for word in more:
+        name, _, value = word.partition("=")
+        if value:
+            before, text = '<Integer Name="SensorHeight"', f'<Integer Name="{name}"><Value>{value}</Value></Integer>'
+        else:
+            before, number = '<EnumEntry Name="Mono16"', BY_NAME[name].number
+            text = f'<EnumEntry Name="{name}" NameSpace="Standard"><Value>{number}</Value></EnumEntry>'
+        assert before in xml
+        xml = xml.replace(before, text + before, 1)
+    file = folder / "camera.xml"
+    file.write_text(xml)
+    return file
 
 
 def truth_of(image: NDArray[np.uint8]) -> int:
@@ -89,7 +116,6 @@ def _main() -> None:
     parser.add_argument("--lost", type=float, default=0.0, help="share of packets")
     parser.add_argument("--packet", type=int, default=1400, help="bytes of a packet")
     parser.add_argument("--drift", type=float, default=0.0, help="ppm")
-    parser.add_argument("--offset", type=float, default=0.0, help="s")
     parser.add_argument("--jump", type=float, nargs=2, metavar=("AFTER", "BY"), help="s")
     parser.add_argument("--truth", action="store_true", help="the first pixels hold when a frame was taken")
     parser.add_argument("--xml", type=Path, help="the camera's description, instead of Aravis' own")
@@ -118,10 +144,10 @@ def _main() -> None:
 
     def camera_ns(host_ns: int) -> int:
         run_ns = host_ns - began_ns
-        offset_s = options.offset
+        offset_s = 1000.0
         if options.jump and run_ns > options.jump[0] * 1e9:
             offset_s += options.jump[1]
-        return round(run_ns * (1 + options.drift * 1e-6) + 1e9 * (1000.0 + offset_s))
+        return round(run_ns * (1 + options.drift * 1e-6) + 1e9 * offset_s)
 
     @_FILL
     def fill(buffer: int, _data: int, _exposure: int, _gain: int, _format: int) -> None:
