@@ -67,6 +67,7 @@ class ArvStream:
         self._clocks = (time.monotonic_ns(), time.time_ns())  # monotonic and wall clock at the frame before
         self._pop = function("arv_stream_timeout_pop_buffer", c_void_p, c_void_p, c_uint64)
         self._push = function("arv_stream_push_buffer", None, c_void_p, c_void_p)
+        self._unref = unref  # images may outlive this module as Python ends
         new = function("arv_buffer_new_allocate", c_void_p, c_size_t)
         for _ in range(buffers):
             self._push(self._pointer, new(payload))
@@ -111,7 +112,7 @@ class ArvStream:
             if self._pointer is not None:
                 self._push(self._pointer, pointer)
                 return
-        unref(pointer)
+        self._unref(pointer)
 
     def missing_packets(self) -> int:
         """Packets that never came, since the stream was opened."""

@@ -166,17 +166,21 @@ class GenicamDevice:
             image = None
         if raw.status != SUCCESS or image is None or form is None:
             self._damaged += 1  # its number cannot be trusted: that comes in the frame's first packet
-            self._lost.add(1, 0, self._packet_size)
+            self._say_lost(incomplete=1)
             return Waiting(unreadable=1)
         missed = max(missed_between(self._id, raw.frame_id) - self._damaged, 0)
         self._id, self._damaged = raw.frame_id, 0
         if missed:
-            self._lost.add(0, missed, self._packet_size)
+            self._say_lost(missed=missed)
         if self._stream.is_short():
             image = image.copy()
         mid_ns = self._mid_exposure_ns(raw)
         clock = Clock.ARRIVAL if mid_ns is None else Clock.CAMERA
         return Taken(image, mid_ns, clock, form.bits, missed=missed)
+
+    def _say_lost(self, incomplete: int = 0, missed: int = 0) -> None:
+        packets = self._stream.missing_packets() if self._packet_size else 0
+        self._lost.add(incomplete, missed, packets, self._packet_size)
 
     def _mid_exposure_ns(self, raw: Raw) -> int | None:
         """On the host's monotonic clock; None where the camera's does not run."""

@@ -23,14 +23,15 @@ class LostFrames:
         self.missed = 0  # their numbers were left out
         self._next_s = clock()
 
-    def add(self, incomplete: int, missed: int, packet_size: int) -> None:
-        """So many more; ``packet_size`` bytes of a GigE Vision camera, else 0."""
+    def add(self, incomplete: int, missed: int, packets: int = 0, packet_size: int = 0) -> None:
+        """So many more; ``packets`` are missing of a GigE Vision camera in all, of ``packet_size`` bytes."""
         self.incomplete += incomplete
         self.missed += missed
         if self._clock() < self._next_s:
             return
         self._next_s = self._clock() + EVERY_S
-        told = [f"{self.incomplete} came incomplete"] * bool(self.incomplete)
+        of_packets = f" ({packets} packets missing)" if packets else ""
+        told = [f"{self.incomplete} came incomplete{of_packets}"] * bool(self.incomplete)
         told += [f"{self.missed} did not come"] * bool(self.missed)
         self._say(f"{self._name}: frames are lost: {' and '.join(told)}; none of them is used. {advice(packet_size)}")
 

@@ -152,12 +152,12 @@ def _main() -> None:
     @_FILL
     def fill(buffer: int, _data: int, _exposure: int, _gain: int, _format: int) -> None:
         nonlocal sent
-        now_ns, size = time.monotonic_ns(), c_size_t()
-        image = np.ascontiguousarray(film[sent % len(film)])
+        size = c_size_t()
+        image, data = np.ascontiguousarray(film[sent % len(film)]), data_of(buffer, byref(size))
+        ctypes.memmove(data, image.ctypes.data, image.nbytes)
+        now_ns = time.monotonic_ns()
         if options.truth:
-            image = image.copy()
-            image[0, :_TRUTH] = np.frombuffer(now_ns.to_bytes(_TRUTH, "little"), np.uint8)
-        ctypes.memmove(data_of(buffer, byref(size)), image.ctypes.data, image.nbytes)
+            ctypes.memmove(data, now_ns.to_bytes(_TRUTH, "little"), _TRUTH)
         set_stamp(buffer, camera_ns(now_ns))
         sent += 1
 

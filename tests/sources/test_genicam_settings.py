@@ -256,14 +256,14 @@ def test_lost_frames_are_said_once_a_minute_with_what_to_do() -> None:
     lost = LostFrames("cam", said.append, lambda: now[0])
     for k in range(130):
         now[0] = float(k)
-        lost.add(1, k % 2, 1400)
+        lost.add(1, k % 2, 2 * k, 1400)
     assert len(said) == 3
     assert said[1].startswith(
-        "cam: frames are lost: 61 came incomplete and 30 did not come; none of them is used. Packets "
+        "cam: frames are lost: 61 came incomplete (120 packets missing) and 30 did not come; none of "
     )
     assert lost.incomplete == 130
     lost = LostFrames("usb", said.append, lambda: 0.0)
-    lost.add(0, 1, 0)
+    lost.add(0, 1)
     assert said[-1].endswith("Give the camera a USB 3 port of its own, with a cable of 3 m or less, or a lower rate")
 
 
