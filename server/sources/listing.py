@@ -2,8 +2,9 @@
 
 from collections.abc import Sequence
 from contextlib import closing
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
+from asterism.server.sources.genicam_listing import list_genicam
 from asterism.server.sources.v4l2 import trouble
 from asterism.server.sources.v4l2_node import KERNEL, Mode, Node, System
 from asterism.server.sources.v4l2_offers import Offer, read_offers
@@ -20,27 +21,6 @@ class Found(NamedTuple):
     problem: str = ""  # why it cannot be used
 
 
-class GenicamCamera(Protocol):
-    """What is told of a GenICam camera."""
-
-    @property
-    def name(self) -> str:
-        """To use as SOURCE: genicam:SERIAL."""
-
-    @property
-    def vendor(self) -> str: ...
-
-    @property
-    def model(self) -> str: ...
-
-    @property
-    def serial(self) -> str: ...
-
-    @property
-    def address(self) -> str:
-        """IP or USB."""
-
-
 def v4l2_cameras(system: System = KERNEL) -> list[Found]:
     """V4L2 cameras, and nodes that may be some but do not open; what gives no images is left out."""
     nodes = system.nodes()
@@ -50,14 +30,10 @@ def v4l2_cameras(system: System = KERNEL) -> list[Found]:
 
 def genicam_cameras() -> tuple[list[Found], str]:
     """GenICam cameras; and why there can be none, or ""."""
-    cameras, problem = _list_genicam()
+    cameras, problem = list_genicam()
     return [
         Found(one.name, f"{one.vendor} {one.model}, serial {one.serial}, {one.address}, GenICam") for one in cameras
     ], problem
-
-
-def _list_genicam() -> tuple[Sequence[GenicamCamera], str]:
-    return (), "GigE Vision and USB3 Vision cameras cannot be used yet"
 
 
 def _look(path: str, name: str, system: System) -> Found | None:

@@ -15,7 +15,7 @@ from asterism.protocol.messages import Clock
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig
 from asterism.server.sources import v4l2_abi as abi
-from asterism.server.sources.camera import Camera, Taken
+from asterism.server.sources.camera import Camera, Taken, Waiting
 from asterism.server.sources.source import Expected, Say
 from asterism.server.sources.v4l2_node import KERNEL, Node, System
 from asterism.server.sources.v4l2_pixels import Damaged, to_grey
@@ -24,6 +24,7 @@ from asterism.server.sources.v4l2_settings import InForce, apply_settings, refus
 from asterism.server.sources.v4l2_stream import Stream
 from asterism.server.sources.v4l2_time import mid_exposure_ns, no_stamp
 
+WAIT_S = 0.2  # at most, before whoever reads may think of something else
 FIRST_S = 5.0  # cameras need so long for their first image
 SILENT_S = 0.8  # without an image a camera is gone, ...
 SILENT_PERIODS = 3.0  # ... or a slow one without so many
@@ -68,27 +69,32 @@ class V4l2Device:
         self._set = in_force
         self._opener = opener
         self._before: int | None = None  # sequence number
+        self._was_late = False
         self._silent_s = max(SILENT_S, SILENT_PERIODS / in_force.rate_hz if in_force.rate_hz else 0.0)
         self._stream = Stream(node)
+        self._newest_ns = opener.monotonic_ns()
 
-    def read(self) -> Taken | None:
-        """The next whole image, or the newest where several wait; None when the camera is gone or silent."""
+    def read(self) -> Taken | Waiting | None:
+        """The next image, or the newest where several wait; None when the camera is gone or silent."""
         late = self._before is not None and self._stream.waits()
+        missed = 0
         while True:
             try:
-                with self._stream.next(FIRST_S if self._before is None else self._silent_s) as came:
+                with self._stream.next(WAIT_S) as came:
                     if came is None:
-                        return None
+                        return self._silence()
                     buffer, data = came
-                    self._count(int(buffer.sequence), late)
+                    missed += self._missing(int(buffer.sequence), late)
                     if late and self._stream.waits():
                         self._opener.late.add(1)
+                        missed += 1
                         continue
                     image = self._image(buffer, data)
             except OSError:
                 return None
-            if image is not None:
-                return self._stamped(image, buffer)
+            if image is None:
+                return Waiting(unreadable=1, missed=missed)
+            return self._stamped(image, buffer)._replace(missed=missed)
 
     def close(self) -> None:
         """Let go of the camera."""
@@ -96,12 +102,18 @@ class V4l2Device:
         with suppress(OSError):
             self._node.close()
 
-    def _count(self, sequence: int, late: bool) -> None:
-        """Count the frames that are missing before this one; ``late``: nobody asked for them in time."""
+    def _silence(self) -> Waiting | None:
+        silent_s = (self._opener.monotonic_ns() - self._newest_ns) / 1e9
+        return Waiting() if silent_s < (FIRST_S if self._before is None else self._silent_s) else None
+
+    def _missing(self, sequence: int, late: bool) -> int:
+        """How many frames are missing before this one; ``late``: nobody asked for it in time."""
         step = 1 if self._before is None else (sequence - self._before) % (1 << 32)
-        self._before = sequence
-        if 1 < step < MOST_LOST:
-            (self._opener.late if late else self._opener.lost).add(step - 1)
+        missing = step - 1 if 1 < step < MOST_LOST else 0
+        if missing:  # a driver drops frames too while all of its buffers are full
+            (self._opener.late if late or self._was_late else self._opener.lost).add(missing)
+        self._before, self._was_late, self._newest_ns = sequence, late, self._opener.monotonic_ns()
+        return missing
 
     def _image(self, buffer: abi.Buffer, data: memoryview) -> NDArray[np.uint8] | None:
         try:
@@ -109,7 +121,7 @@ class V4l2Device:
                 raise Damaged("is said to be so by the driver")
             return to_grey(data, self._set.layout, self._opener.name)
         except Damaged as problem:
-            self._opener.skip(str(problem))
+            self._opener.damaged.add(1, str(problem))
             return None
 
     def _stamped(self, image: NDArray[np.uint8], buffer: abi.Buffer) -> Taken:
@@ -127,7 +139,7 @@ class V4l2Device:
 class V4l2Opener:
     """Opens a camera; call it again when it was lost.
 
-    ``name`` is a node or a link to one, ``size`` None the camera's own; ``skipped`` is called for every damaged image.
+    ``name`` is a node or a link to one, ``size`` None the camera's own.
     """
 
     def __init__(
@@ -136,7 +148,6 @@ class V4l2Opener:
         capture: Capture,
         size: tuple[int, int] | None,
         say: Say,
-        skipped: Callable[[], None] = lambda: None,
         system: System = KERNEL,
     ) -> None:
         """Raises InputError for settings that V4L2 has no word for."""
@@ -146,38 +157,27 @@ class V4l2Opener:
         self.monotonic_ns: Callable[[], int] = time.monotonic_ns
         self.lost = Counter(f"{name}: frames lost on their way (is the cable, or the hub, too slow?)", say)
         self.late = Counter(f"{name}: frames not taken in time (this machine is busy)", say)
-        self._damaged = Counter(f"{name}: damaged images, skipped", say)
+        self.damaged = Counter(f"{name}: damaged images, skipped", say)
         self._size = size
         self._say = say
         self._once = Once(say)
-        self._skipped = skipped
         self._system = system
         self._known: Identity | None = None  # once it was open
         self.path = name  # where it was when it was open last
-        self._why = ""  # it is not open now
         self._distrusted = False
 
     def __call__(self) -> V4l2Device | None:
-        """The open camera, set as the rig wants; None while it does not come back, with the reason said once.
+        """The open camera, set as the rig wants; None while it is away.
 
-        Raises WorldError or InputError where it does not open the first time.
+        Raises WorldError where it is there and does not open, or cannot be set; InputError for settings that it lacks,
+        but once it was open that is the world's fault as well.
         """
         try:
-            device = self._opened()
-        except (WorldError, InputError) as problem:
+            return self._opened()
+        except InputError as problem:
             if self._known is None:
                 raise
-            if str(problem) != self._why:
-                self._why = str(problem)
-                self._say(self._why)
-            return None
-        self._why = ""
-        return device
-
-    def skip(self, why: str) -> None:
-        """Count a damaged image."""
-        self._damaged.add(1, why)
-        self._skipped()
+            raise WorldError(str(problem)) from None
 
     def distrust(self, why: str) -> None:
         """Say that a stamp cannot be used."""
@@ -225,13 +225,8 @@ class V4l2Opener:
 def v4l2_camera(text: str, rig: Rig | None, say: Say, system: System = KERNEL) -> Camera:
     """The camera that a person names. Raises as `name_of` and `V4l2Opener` do."""
     expected = Expected(rig)
-
-    def skipped() -> None:
-        camera.unreadable += 1
-
-    opener = V4l2Opener(name_of(text), expected.capture, expected.size, say, skipped, system)
-    camera = Camera(opener.name, opener, rig, say)
-    return camera
+    opener = V4l2Opener(name_of(text), expected.capture, expected.size, say, system)
+    return Camera(opener.name, opener, rig, say)
 
 
 def trouble(path: str, error: OSError) -> str:

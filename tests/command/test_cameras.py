@@ -5,7 +5,7 @@ import errno
 import pytest
 
 from asterism.server.command import cameras
-from asterism.server.sources import listing, v4l2_abi
+from asterism.server.sources import genicam_listing, listing, v4l2_abi
 from asterism.server.sources.listing import Found, v4l2_cameras
 from tests.sources.v4l2_stand_in import StandInCamera, StandInSystem
 
@@ -70,6 +70,14 @@ def test_where_there_is_none_it_says_where_it_looked_and_succeeds(
     assert "no V4L2 camera: there is no /dev/video* that gives images" in told
     assert "no GenICam camera: libaravis is not installed" in told
     assert all(len(line) <= 80 for line in told.splitlines())
+
+
+def test_genicam_cameras_are_told_with_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = genicam_listing.FoundCamera("genicam:SN1", "Maker", "Model", "SN1", "10.0.0.2")
+    monkeypatch.setattr(listing, "list_genicam", lambda: genicam_listing.Found([camera]))
+    found, problem = listing.genicam_cameras()
+    assert found == [Found("genicam:SN1", "Maker Model, serial SN1, 10.0.0.2, GenICam")]
+    assert cameras.told([], found, problem, 80)[:2] == ["genicam:SN1", "  Maker Model, serial SN1, 10.0.0.2, GenICam"]
 
 
 def test_a_camera_that_cannot_be_used_is_none_to_serve() -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from asterism.protocol.capture import Capture
 from asterism.protocol.messages import Clock
-from asterism.server.sources.camera import Camera
+from asterism.server.sources.camera import Camera, Taken
 from asterism.server.sources.v4l2 import V4l2Opener
 from asterism.server.sources.v4l2_node import KERNEL, Node
 from asterism.server.sources.v4l2_offers import read_offers
@@ -41,11 +41,12 @@ def formats(name: str, frames: int) -> None:
         opener = V4l2Opener(name, capture, mode.size, lambda text: print(f"  {text}"))
         device = opener()
         assert device is not None
-        taken = []
-        for _ in range(frames):
+        taken: list[tuple[Taken, int]] = []
+        while len(taken) < frames:
             one = device.read()
             assert one is not None, "the camera fell silent"
-            taken.append((one, time.monotonic_ns()))
+            if isinstance(one, Taken):
+                taken.append((one, time.monotonic_ns()))
         device.close()
         clocks = sorted({Clock.Name(one.clock) for one, _ in taken})
         stamps = np.array([one.mid_ns or now for one, now in taken]) / 1e6

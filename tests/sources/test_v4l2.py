@@ -9,8 +9,8 @@ import pytest
 from asterism.protocol.capture import Capture
 from asterism.protocol.messages import Clock
 from asterism.server.sources import v4l2_abi as abi
-from asterism.server.sources.camera import Taken
-from asterism.server.sources.v4l2 import V4l2Opener, v4l2_camera
+from asterism.server.sources.camera import Taken, Waiting
+from asterism.server.sources.v4l2 import V4l2Device, V4l2Opener, v4l2_camera
 from tests.rigs import make_camera, make_rig
 from tests.sources import v4l2_stand_in
 from tests.sources.v4l2_stand_in import MONOTONIC_AT_START, StandInCamera, StandInSystem, grey_frame
@@ -25,15 +25,20 @@ def silent(text: str) -> None:
     """Nobody listens."""
 
 
-def one(camera: StandInCamera, capture: Capture = PLAIN, said: list[str] | None = None) -> Taken | None:
-    """The first frame of a camera."""
+def opened(camera: StandInCamera, said: list[str] | None = None, capture: Capture = PLAIN) -> V4l2Device:
+    """A camera that was opened at `NOW_NS`, and what it says."""
     say = silent if said is None else said.append
     opener = V4l2Opener("/dev/video0", capture, SIZE, say, system=StandInSystem(video0=camera))
     opener.monotonic_ns = lambda: NOW_NS
     device = opener()
     assert device is not None
-    taken = device.read()
-    device.close()
+    return device
+
+
+def one(camera: StandInCamera, capture: Capture = PLAIN) -> Taken:
+    """The first frame of a camera."""
+    taken = opened(camera, capture=capture).read()
+    assert isinstance(taken, Taken)
     return taken
 
 
@@ -59,7 +64,6 @@ def test_grey_is_read_exactly_and_its_upper_eight_bits_kept(
     image = rng.integers(0, 1 << bits, SIZE[::-1]).astype("<u2" if bits > 8 else np.uint8)
     put(camera, padded(image.view(np.uint8), more))
     taken = one(camera)
-    assert taken is not None
     np.testing.assert_array_equal(taken.image, image >> (bits - 8))
     assert taken.image.dtype == np.uint8
 
@@ -70,7 +74,6 @@ def test_of_yuv_the_luminance_is_taken(rng: np.random.Generator, fourcc: str, fi
     rows = rng.integers(0, 256, (SIZE[1], SIZE[0] * 2)).astype(np.uint8)
     put(camera, padded(rows, 4))
     taken = one(camera)
-    assert taken is not None
     np.testing.assert_array_equal(taken.image, rows[:, first::2])
 
 
@@ -79,7 +82,6 @@ def test_16_bit_pixels_that_hold_fewer_are_read_by_the_rigs_bits(rng: np.random.
     image = rng.integers(0, 1 << 12, SIZE[::-1]).astype("<u2")
     put(camera, image.tobytes())
     taken = one(camera, Capture(bits=12))
-    assert taken is not None
     np.testing.assert_array_equal(taken.image, image >> 4)
 
 
@@ -113,7 +115,7 @@ def test_a_buffer_that_is_too_short_is_damaged() -> None:
     camera = StandInCamera()
     put(camera, bytes(SIZE[0] * SIZE[1] - 1))
     said: list[str] = []
-    assert one(camera, said=said) is None  # nothing else came
+    assert opened(camera, said).read() == Waiting(unreadable=1)
     assert said == ["/dev/video0: damaged images, skipped: 1 so far; the last is cut off after 3071 of 3072 bytes"]
 
 
@@ -134,7 +136,6 @@ def test_mid_exposure_is_half_the_exposure_from_the_drivers_stamp(
     camera = StandInCamera(controls=controls)
     put(camera, bytes(SIZE[0] * SIZE[1]), NOW_NS - 20_000_000, flags)
     taken = one(camera, capture)
-    assert taken is not None
     assert (taken.clock, taken.mid_ns) == (Clock.DRIVER, NOW_NS - 20_000_000 + round(middle_us * 1e3))
 
 
@@ -153,11 +154,8 @@ def test_stamps_that_cannot_be_are_said_once_and_arrival_counts(stamp_ns: int, f
         put(camera, bytes(SIZE[0] * SIZE[1]), stamp_ns, flags)
     put(camera, bytes(SIZE[0] * SIZE[1]))
     said: list[str] = []
-    opener = V4l2Opener("/dev/video0", Capture(), SIZE, said.append, system=StandInSystem(video0=camera))
-    opener.monotonic_ns = lambda: NOW_NS
-    device = opener()
-    assert device is not None
-    clocks = [taken.clock for _ in range(4) if (taken := device.read()) is not None]
+    device = opened(camera, said)
+    clocks = [taken.clock for _ in range(4) if isinstance(taken := device.read(), Taken)]
     assert clocks == [Clock.ARRIVAL] * 3 + [Clock.DRIVER]
     assert said == [f"/dev/video0: the driver's time stamps {why}; such frames are stamped when they arrive"]
 
@@ -166,48 +164,54 @@ def test_lost_frames_show_in_the_numbers_and_are_counted() -> None:
     camera = StandInCamera()
     camera.frames.extend(grey_frame(number) for number in (0xFFFFFFFE, 0xFFFFFFFF, 0, 3, 4, 9, 2))
     said: list[str] = []
-    opener = V4l2Opener("/dev/video0", Capture(), SIZE, said.append, system=StandInSystem(video0=camera))
-    device = opener()
-    assert device is not None
-    assert len([device.read() for _ in range(7)]) == 7
-    assert opener.lost.count == 2 + 4
-    assert [line.rpartition(": ")[2] for line in said] == ["2 so far", "6 so far"]
+    device = opened(camera, said)
+    missed = [taken.missed for _ in range(7) if isinstance(taken := device.read(), Taken)]
+    assert missed == [0, 0, 0, 2, 0, 4, 0]
+    assert [line for line in said if "lost on their way" in line and line.endswith(("2 so far", "6 so far"))] == said[
+        1:
+    ]
 
 
-def test_who_comes_late_gets_the_newest_and_what_was_missed_is_counted_apart() -> None:
+def test_who_comes_late_gets_the_newest_and_what_was_missed_is_told_apart() -> None:
     camera = StandInCamera()
     said: list[str] = []
-    opener = V4l2Opener("/dev/video0", PLAIN, SIZE, said.append, system=StandInSystem(video0=camera))
-    device = opener()
-    assert device is not None
+    device = opened(camera, said)
     camera.frames.append(grey_frame(1))
     device.read()
     camera.ahead = True
     camera.frames.extend(grey_frame(number) for number in (2, 3, 9))  # the driver had no buffer for those between
     taken = device.read()
-    assert taken is not None
-    assert taken.image[0, 0] == 9
-    assert (opener.late.count, opener.lost.count) == (2 + 5, 0)
-    assert "/dev/video0: frames not taken in time (this machine is busy): 7 so far" in said
+    assert isinstance(taken, Taken)
+    assert (taken.image[0, 0], taken.missed) == (9, 2 + 5)
+    camera.frames.append(grey_frame(12))  # nor for these
+    device.read()
+    late = "/dev/video0: frames not taken in time (this machine is busy)"
+    assert [line for line in said if "stamps" not in line] == [f"{late}: {count} so far" for count in (1, 2, 7)]
 
 
 def test_buffers_are_returned_and_images_stay_when_the_driver_writes_again() -> None:
     camera = StandInCamera(endless=grey_frame)
-    device = V4l2Opener("/dev/video0", Capture(), SIZE, silent, system=StandInSystem(video0=camera))()
-    assert device is not None
-    images = [taken.image for _ in range(20) if (taken := device.read()) is not None]
+    device = opened(camera)
+    images = [taken.image for _ in range(20) if isinstance(taken := device.read(), Taken)]
     assert [int(image[5, 5]) for image in images] == list(range(20))
     device.close()
     assert camera.streams is None
 
 
-def test_a_silent_camera_is_gone_within_a_second_and_a_slow_one_is_waited_for() -> None:
-    for rate, least, most in ((30.0, 0.5, 1.0), (1.0, 2.0, 4.0)):
-        camera = StandInCamera(formats={"GREY": {SIZE: [rate]}}, rate=rate)
-        camera.frames.append(grey_frame(0))
-        system = StandInSystem(video0=camera)
-        device = V4l2Opener("/dev/video0", Capture(), SIZE, silent, system=system)()
-        assert device is not None
-        assert device.read() is not None
-        assert device.read() is None
-        assert least < system.waits[-1] < most
+@pytest.mark.parametrize(("rate", "least_s", "most_s"), [(30.0, 0.5, 1.0), (1.0, 2.0, 4.0)])
+def test_a_silent_camera_is_gone_within_a_second_and_a_slow_one_is_waited_for(
+    rate: float, least_s: float, most_s: float
+) -> None:
+    camera = StandInCamera(formats={"GREY": {SIZE: [rate]}}, rate=rate)
+    put(camera, bytes(SIZE[0] * SIZE[1]))
+    system = StandInSystem(video0=camera)
+    opener = V4l2Opener("/dev/video0", PLAIN, SIZE, silent, system=system)
+    now_ns = [NOW_NS]
+    opener.monotonic_ns = lambda: now_ns[0]
+    device = opener()
+    assert device is not None
+    assert isinstance(device.read(), Taken)
+    for after_s, read in ((least_s, Waiting()), (most_s, None)):
+        now_ns[0] = NOW_NS + round(after_s * 1e9)
+        assert device.read() == read
+    assert max(system.waits) < 0.5, "whoever wants to close it does not wait for long"

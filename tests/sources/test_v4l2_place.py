@@ -130,20 +130,38 @@ def test_where_nobody_asked_for_a_size_the_first_one_stays() -> None:
     assert taken.image.shape == SIZE[::-1]
 
 
-def test_what_keeps_a_camera_from_coming_back_is_said_once() -> None:
+def test_what_keeps_a_camera_from_coming_back_is_said_once_and_stands_in_its_problem() -> None:
     camera = StandInCamera(endless=grey_frame)
     system = StandInSystem(video0=camera)
     said: list[str] = []
-    opener = V4l2Opener("/dev/video0", Capture(), SIZE, said.append, system=system)
-    device = opener()
-    assert device is not None
-    device.close()
-    camera.streams = 1  # another program
-    assert [opener() for _ in range(3)] == [None] * 3
-    assert len(said) == 1
-    assert "another program has /dev/video0" in said[0]
-    camera.streams = None
+    source = opened(system, "0", said)
+    frames = frames_of(source)
+    next(frames)
+    tries = itertools.count()
+
+    def taken_by_another() -> list[str]:
+        """Let go after a few tries."""
+        camera.there, camera.streams = True, 1 if next(tries) < 5 else None
+        assert next(tries) < 10 or source.problem
+        return ["/dev/video0"]
+
+    system.nodes = taken_by_another  # type: ignore[method-assign]
+    camera.unplug()
+    next(frames)
+    assert [line.partition("(")[0] for line in said] == [
+        "/dev/video0: the camera vanished; waiting for it",
+        "/dev/video0: the camera cannot be set: another program has /dev/video0 ",
+        "/dev/video0: the camera is back",
+    ]
+
+
+def test_a_camera_that_comes_back_without_the_size_is_the_worlds_fault() -> None:
+    system = StandInSystem(video0=StandInCamera(endless=grey_frame))
+    opener = V4l2Opener("/dev/video0", PLAIN, SIZE, silent, system=system)
     assert opener() is not None
+    system.cameras["/dev/video0"] = StandInCamera(formats={"GREY": {(32, 24): [30.0]}})
+    with pytest.raises(WorldError, match="no images of 64x48; it has 32x24"):
+        opener()
 
 
 @pytest.mark.parametrize(
