@@ -14,6 +14,7 @@ from asterism.server.chain.frame import Frame
 from asterism.server.sources import v4l2_abi as abi
 from asterism.server.sources.camera import Camera
 from asterism.server.sources.v4l2 import V4l2Opener, v4l2_camera
+from asterism.server.sources.v4l2_node import Kernel
 from asterism.server.sources.v4l2_place import best_names, is_v4l2, name_of
 from tests.rigs import make_camera, make_rig
 from tests.sources.v4l2_stand_in import StandInCamera, StandInSystem, grey_frame
@@ -229,3 +230,22 @@ def test_names(tmp_path: Path) -> None:
     for text in ("9" * 30, "/dev/videoX", "/dev/video"):
         with pytest.raises(InputError, match="expected a V4L2 camera such as 0 or /dev/video0, or a link to one"):
             name_of(text)
+
+
+def test_the_hardware_behind_a_node_is_read_from_the_kernels_tree(tmp_path: Path) -> None:
+    """As it lies in /sys: a node's device is a USB interface, whose parent is the USB device."""
+    usb, sensor = tmp_path / "devices/usb1/1-4", tmp_path / "devices/platform/csi"
+    for folder in (usb / "1-4:1.0", sensor, tmp_path / "class/video2", tmp_path / "class/video10"):
+        folder.mkdir(parents=True)
+    for key, value in (("idVendor", "046d"), ("idProduct", "082d"), ("serial", "A1B2")):
+        (usb / key).write_text(f"{value}\n")
+    for node, device in (("video2", usb / "1-4:1.0"), ("video10", sensor)):
+        (tmp_path / "class" / node / "device").symlink_to(device)
+        (tmp_path / "class" / node / "index").write_text("0\n")
+    kernel = Kernel()
+    kernel.folder = tmp_path / "class"
+    assert kernel.hardware("/dev/video2") == ("046d:082d:A1B2", "0")
+    assert kernel.hardware("/dev/video10") == ("", "0")
+    assert kernel.hardware("/dev/video99") == ("", "")
+    (usb / "serial").unlink()
+    assert kernel.hardware("/dev/video2") == ("", "0")
