@@ -9,7 +9,7 @@ import pytest
 
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.messages import Clock
-from asterism.server.sources import aravis
+from asterism.server.sources import aravis, genicam
 from asterism.server.sources.aravis_stream import BUFFERS
 from asterism.server.sources.background import wait_for_background
 from asterism.server.sources.camera import Camera
@@ -131,6 +131,26 @@ def test_a_software_trigger_is_given_frame_by_frame(plugged_in: FakeCamera) -> N
     before = plugged_in.sent()
     assert len(frames(open_source(BY_ADDRESS, rig_with(trigger="software"), silent), 10)) == 10
     assert plugged_in.sent() - before <= 12
+
+
+def test_a_camera_that_waits_for_its_trigger_says_so_and_nothing_hangs(
+    plugged_in: FakeCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The emulator makes up the triggers of its line itself; those of the software can be kept from it."""
+    monkeypatch.setattr(genicam, "STUCK_S", 0.5)
+    monkeypatch.setattr(genicam.ArvCamera, "trigger", lambda _: None)
+    said: list[str] = []
+    camera = open_source(BY_ADDRESS, rig_with(trigger="software"), said.append)
+    assert isinstance(camera, Camera)
+    reader = threading.Thread(target=lambda: list(camera.frames()))
+    reader.start()
+    told = wait_for(said, "trigger")
+    problem = camera.problem
+    camera.close()
+    reader.join(20.0)
+    assert told
+    assert said == [problem] == [f"{BY_ADDRESS}: it waits for its trigger (software)"]
+    assert not reader.is_alive()
 
 
 def test_no_such_camera_tells_what_there_is(plugged_in: FakeCamera) -> None:
