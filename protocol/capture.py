@@ -25,6 +25,7 @@ class Capture:
     pixel_format: str | None = None  # as the camera names it
     trigger: str | None = None  # `free`, `software`, `action` (GigE Vision's action command), or a line by its name
     stamp: str = STAMPS[0]  # what of the exposure the camera's stamp tells
+    stamp_given: bool = False  # whether the rig says so; V4L2's drivers say it themselves
     delay_us: float = 0.0  # from there to the stamp
 
 
@@ -43,6 +44,7 @@ def read_capture(section: Section) -> Capture:
         pixel_format=section.text("pixel_format") if "pixel_format" in section else None,
         trigger=section.text("trigger") if "trigger" in section else None,
         stamp=section.text("stamp", STAMPS) if "stamp" in section else STAMPS[0],
+        stamp_given="stamp" in section,
         delay_us=_delay(section) if "delay_us" in section else 0.0,
     )
 

@@ -39,6 +39,10 @@ OTHERS = (
     ".venv/bin/python",
     "openssl",
     "printf",
+    "apt",
+    "arv-tool-0.8",
+    "ip",
+    "sysctl",
 )  # what pages run beside asterism
 SHELL = blocks("sh")
 

@@ -12,6 +12,7 @@ from asterism.server.command.shared_arguments import add_telling
 
 COMMANDS = {
     "demo": "simulated camera, five robots on a curved surface: serve, record, watch",
+    "cameras": "what cameras there are, how to name each as SOURCE, their sizes and rates",
     "serve": "localize the robots that a source shows, publish their poses",
     "reload": "let a running server read its rig and calibration again",
     "locate": "poses of a folder of images, a video or a recording, as JSON lines",

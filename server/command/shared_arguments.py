@@ -4,7 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
-SOURCE = "a camera (0, /dev/video0), a folder or glob of images, a video, a recording, or sim"
+SOURCE = "a camera (0, /dev/video0 or a link, genicam:SERIAL), a folder or glob of images, a video, a recording, or sim"
 FINITE_SOURCE = "a folder or glob of images, a video, or a recording"
 
 

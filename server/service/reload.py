@@ -109,6 +109,11 @@ def settings_left(before: Rig, after: Rig) -> str:
             ("gain", a.gain, b.gain),
             ("size", a.size, b.size),
             ("bits", a.bits, b.bits),
+            ("offset", a.offset, b.offset),
+            ("pixel_format", a.pixel_format, b.pixel_format),
+            ("trigger", a.trigger, b.trigger),
+            ("stamp", a.stamp, b.stamp),
+            ("delay_us", a.delay_us, b.delay_us),
         )
         if one != other
     ]

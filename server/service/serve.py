@@ -174,7 +174,8 @@ class Run:
     def _count(self, feed: Feed) -> None:
         """Bring the numbers up to date that others count."""
         recorder, health = self.outlets.recorder, self.health
-        health.frames_dropped = feed.dropped
+        missed = self.source.missed if isinstance(self.source, Camera) else 0
+        health.frames_dropped = feed.dropped + missed
         health.frames_unreadable = self.source.unreadable
         if recorder is not None:
             health.frames_not_recorded = recorder.frames_left_out

@@ -15,6 +15,8 @@ from asterism.server.sources.images import to_grey8
 from asterism.server.sources.session_clock import SessionClock
 from asterism.server.sources.source import DEFAULT_RATE_HZ, Expected, Say, Source
 
+RETRY_S = 1.0
+
 
 def clock_of(source: Source) -> SessionClock:
     """What stamps a source's frames when they are served: a camera's own clock, or one that begins now."""
@@ -27,13 +29,24 @@ class Taken(NamedTuple):
     image: NDArray[np.generic]
     mid_ns: int | None = None  # mid-exposure on the host's monotonic clock; None: only its arrival is known
     clock: Clock = Clock.ARRIVAL  # that told
+    bits: int | None = None  # of a 16-bit image's pixels, where the camera tells; the rig's `bits` goes before
+    unreadable: int = 0  # frames before it that came damaged
+    missed: int = 0  # frames before it that never came
+
+
+class Waiting(NamedTuple):
+    """The camera is there and has no image: nothing yet, or one that cannot be used."""
+
+    why: str = ""  # what a person should know: what it waits for
+    unreadable: int = 0
+    missed: int = 0
 
 
 class Device(Protocol):
     """An open camera."""
 
-    def read(self) -> Taken | None:
-        """The next image, or None when the camera is gone."""
+    def read(self) -> Taken | Waiting | None:
+        """The next image, what is there in its place, or None when the camera is gone."""
         ...
 
     def close(self) -> None:
@@ -45,14 +58,26 @@ class Camera:
     """A camera that runs by itself. When it vanishes, that is said and it is opened again as soon as it is back."""
 
     live = True
-    retry_s = 1.0
 
-    def __init__(self, name: str, open_device: Callable[[], Device | None], rig: Rig | None, say: Say) -> None:
-        """Raises WorldError when the camera does not open now."""
+    def __init__(
+        self,
+        name: str,
+        open_device: Callable[[], Device | None],
+        rig: Rig | None,
+        say: Say,
+        retry_s: float = RETRY_S,
+    ) -> None:
+        """``open_device`` gives None for a camera that is not there, or raises WorldError with a sentence of why; it is
+        called again every ``retry_s`` while the camera is away.
+
+        Raises WorldError when the camera does not open now.
+        """
         self.name = name
+        self.retry_s = retry_s
         self._expected = Expected(rig)
         self.rate_hz = self._expected.capture.rate_hz or DEFAULT_RATE_HZ
         self.unreadable = 0
+        self.missed = 0  # frames that the camera counts and that never came
         self.length: int | None = None
         self.problem = ""  # what is wrong now, a sentence
         self.clock = SessionClock()
@@ -70,34 +95,68 @@ class Camera:
 
         Raises InputError for images of another size than calibrated.
         """
-        index, capture = 0, self._expected.capture
-        delay_ns = round(capture.delay_us * 1e3)
-        while not self._closed:
-            if self._device is None:
-                self._device = self._open()
-                if self._device is None:
-                    time.sleep(self.retry_s)
-                    continue
-                self.problem = ""
-                self._say(f"{self.name}: the camera is back")
-            taken = self._device.read()
-            session = self.clock.session
-            arrived_ns = self.clock.now_ns(session)
-            if taken is None:
-                self._device.close()
-                self._device = None
-                if not self._closed:
-                    self.problem = f"{self.name}: the camera vanished; waiting for it"
-                    self._say(self.problem)
-                continue
-            grey = to_grey8(taken.image, capture.bits, self.name)
-            self._expected.check(grey, self.name)
-            stamp_ns = arrived_ns if taken.mid_ns is None else self.clock.at_ns(taken.mid_ns, session)
-            yield Frame(grey, stamp_ns - delay_ns, index, f"{index:06d}", arrived_ns, taken.clock, session)
-            index += 1
-        if self._device is not None:
-            self._device.close()
+        index = 0
+        try:
+            while not self._closed:
+                taken = self._next()
+                if taken is not None:
+                    yield self._frame(taken, index, self.clock.session)
+                    index += 1
+        finally:
+            self._let_go()
 
     def close(self) -> None:
         """End `frames` after the image that is being waited for."""
         self._closed = True
+
+    def _next(self) -> Taken | None:
+        """The next image; None where there is none, and why stands in `problem`."""
+        if self._device is None and not self._reopened():
+            time.sleep(self.retry_s)
+            return None
+        assert self._device is not None
+        read = self._device.read()
+        if read is None:
+            self._let_go()
+            if not self._closed:
+                self._tell(f"{self.name}: the camera vanished; waiting for it")
+            return None
+        self.unreadable += read.unreadable
+        self.missed += read.missed
+        if isinstance(read, Waiting):
+            if read.why:
+                self._tell(f"{self.name}: {read.why}")
+            return None
+        self.problem = ""
+        return read
+
+    def _frame(self, taken: Taken, index: int, session: int) -> Frame:
+        arrived_ns, capture = self.clock.now_ns(session), self._expected.capture
+        grey = to_grey8(taken.image, capture.bits or taken.bits, self.name)
+        self._expected.check(grey, self.name)
+        stamp_ns = arrived_ns if taken.mid_ns is None else self.clock.at_ns(taken.mid_ns, session)
+        exposed_ns = stamp_ns - round(capture.delay_us * 1e3)
+        return Frame(grey, exposed_ns, index, f"{index:06d}", arrived_ns, taken.clock, session)
+
+    def _reopened(self) -> bool:
+        """Whether the camera is back."""
+        try:
+            self._device = self._open()
+        except WorldError as problem:
+            self._tell(f"{problem}; waiting for it")
+        if self._device is None:
+            return False
+        self.problem = ""
+        self._say(f"{self.name}: the camera is back")
+        return True
+
+    def _let_go(self) -> None:
+        device, self._device = self._device, None
+        if device is not None:
+            device.close()
+
+    def _tell(self, problem: str) -> None:
+        """Once for as long as it lasts."""
+        if problem != self.problem:
+            self.problem = problem
+            self._say(problem)

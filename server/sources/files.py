@@ -1,4 +1,4 @@
-"""Frames from image files; they count time from 0 at their own rate."""
+"""Frames from image files, with the times of their folder's `times.csv`; else they count from 0 at their own rate."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -11,6 +11,7 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame
 from asterism.server.sources.depth import Depth
+from asterism.server.sources.frame_times import FrameTimes
 from asterism.server.sources.images import EXTENSIONS, UnreadableImage, natural_key, read_pages, to_grey8
 from asterism.server.sources.source import DEFAULT_RATE_HZ, Expected, Say
 
@@ -25,7 +26,8 @@ class ImageFiles:
     def __init__(self, name: str, paths: list[Path], rig: Rig | None, say: Say) -> None:
         self.name = name
         self._expected = Expected(rig)
-        self.rate_hz = self._expected.capture.rate_hz or DEFAULT_RATE_HZ
+        self._times = FrameTimes({path.parent for path in paths})
+        self.rate_hz = self._times.rate_hz or self._expected.capture.rate_hz or DEFAULT_RATE_HZ
         self.unreadable = 0
         self.length: int | None = len(paths)
         self._paths = paths
@@ -33,7 +35,9 @@ class ImageFiles:
         self._depth = Depth(self._expected.capture.bits, say)
 
     def frames(self) -> Iterator[Frame]:
-        """Raises InputError for an image of another size than the calibration's, or if none could be read."""
+        """Raises InputError for an image of another size than the calibration's, one whose time is missing from its
+        folder's `times.csv` or is not later than the one before, or if none could be read.
+        """
         read = 0
         for index, (path, page) in enumerate(self._pages()):
             if page is None:
@@ -41,7 +45,8 @@ class ImageFiles:
             name, image = page
             grey = to_grey8(image, self._depth.bits_of(image, str(path)), str(path))
             read += 1
-            exposed_ns = round(index * 1e9 / self.rate_hz)
+            told_ns = self._times.of(path, name)
+            exposed_ns = round(index * 1e9 / self.rate_hz) if told_ns is None else told_ns
             yield Frame(grey, exposed_ns, index, name, exposed_ns)
         if not read:
             raise InputError(f"{self.name}: none of its {len(self._paths)} images can be read")

@@ -57,14 +57,14 @@ def read_pages(path: Path, check_size: CheckSize) -> Iterator[tuple[str, NDArray
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     for page in range(len(sizes)):
         name = path.name if len(sizes) == 1 else f"{path.name}#{page}"
-        image = _decoded(np.frombuffer(_open_ended(data), np.uint8), page, len(sizes))
+        image = _decoded(np.frombuffer(open_ended(data), np.uint8), page, len(sizes))
         width, height = sizes[page]
         if image.shape[:2] != (height, width):
             raise UnreadableImage(f"is {image.shape[1]}x{image.shape[0]}, but its header says {width}x{height}")
         yield name, image
 
 
-def _open_ended(data: bytes) -> bytes:
+def open_ended(data: bytes) -> bytes:
     """A JPEG file without its end marker: a decoder that finds it too early makes up the rest of the image in silence,
     and only says so where the file itself ends. The bytes behind are what it reads ahead.
     """

@@ -8,18 +8,23 @@ from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig
 from asterism.server.sources.camera import Camera
 from asterism.server.sources.files import ImageFiles, image_files
+from asterism.server.sources.genicam import RETRY_S as GENICAM_RETRY_S
+from asterism.server.sources.genicam import GenicamCamera
+from asterism.server.sources.genicam_listing import PREFIX
 from asterism.server.sources.images import EXTENSIONS
 from asterism.server.sources.recorded import RecordedFrames
 from asterism.server.sources.simulated import Simulated
 from asterism.server.sources.source import Expected, Say, Source
-from asterism.server.sources.v4l2 import open_v4l2
+from asterism.server.sources.v4l2 import v4l2_camera
+from asterism.server.sources.v4l2_place import is_v4l2
 from asterism.server.sources.video import VideoFile
 
 _LOG = logging.getLogger(__name__)
 
 
 def open_source(text: str, rig: Rig | None, say: Say, seed: int = 0) -> Source:
-    """The source that a person names: `0`, `/dev/video0`, a folder or glob of images, a video, a recording, `sim`.
+    """The source that a person names: `0`, `/dev/video0`, `genicam:...`, a folder or glob of images, a
+    video, a recording, `sim`.
 
     Without a rig images may be of any size, all of the same, and there is nothing to simulate.
 
@@ -34,12 +39,10 @@ def open_source(text: str, rig: Rig | None, say: Say, seed: int = 0) -> Source:
 def _open(text: str, rig: Rig | None, say: Say, seed: int) -> Source:
     if text == "sim" and rig is not None:
         return Simulated(rig, seed)
-    if _is_camera(text):
-        number = text.removeprefix("/dev/video")
-        if not number.isdecimal() or len(number) > 4:
-            raise InputError(f"{text}: expected a V4L2 camera such as 0 or /dev/video0")
-        expected = Expected(rig)
-        return Camera(f"/dev/video{number}", lambda: open_v4l2(int(number), expected.capture, expected.size), rig, say)
+    if is_v4l2(text):
+        return v4l2_camera(text, rig, say)
+    if text.startswith(PREFIX):
+        return _genicam(text, rig, say)
     path = Path(text)
     if path.is_dir():
         if any(path.glob("*.mcap")):
@@ -55,18 +58,24 @@ def _open(text: str, rig: Rig | None, say: Say, seed: int) -> Source:
         base = Path(path.anchor) if path.is_absolute() else Path()
         return image_files(text, list(base.glob(str(path.relative_to(base)))), rig, say)
     raise InputError(
-        f"{text}: there is no such source; expected a camera (0, /dev/video0), a folder or glob of images, a video, "
-        "a recording, or sim"
+        f"{text}: there is no such source; expected a camera (0, /dev/video0 or a link, genicam:SERIAL), a folder or "
+        "glob of images, a video, a recording, or sim"
     )
 
 
-def _is_camera(text: str) -> bool:
-    return text.isdecimal() or text.startswith("/dev/video")
+def _genicam(text: str, rig: Rig | None, say: Say) -> Camera:
+    which = text.removeprefix(PREFIX)
+    if not which:
+        raise InputError(f"{text}: expected a camera's serial number, IP address or index behind it")
+    expected = Expected(rig)
+    return Camera(
+        text, GenicamCamera(which, expected.capture, expected.size, say).open, rig, say, retry_s=GENICAM_RETRY_S
+    )
 
 
 def refuse_endless(text: str, command: str) -> None:
     """Raise InputError for a source that never ends; ``command`` is what cannot use it."""
-    if text == "sim" or _is_camera(text):
+    if text == "sim" or is_v4l2(text) or text.startswith(PREFIX):
         raise InputError(
             f"{text}: has no end; {command} takes a folder or glob of images, a video or a recording "
             f"({typed('simulate')} makes images)"

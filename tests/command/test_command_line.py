@@ -146,7 +146,7 @@ def test_a_hint_how_to_watch_leads_to_where_the_server_is(tmp_path: Path) -> Non
 
 def test_a_camera_that_does_not_open_is_exit_code_1(capsys: pytest.CaptureFixture[str]) -> None:
     told = refused(capsys, "serve", DEMO_RIG, "/dev/video97", "--listen", "tcp/127.0.0.1:0", code=1)
-    assert "/dev/video97: the camera does not open (tried V4L2 device /dev/video97)" in told
+    assert "/dev/video97: the camera does not open: there is no /dev/video97; is it plugged in?" in told
 
 
 def test_a_zenoh_infrastructure_that_is_not_there_is_exit_code_1(capsys: pytest.CaptureFixture[str]) -> None:

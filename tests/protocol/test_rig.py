@@ -87,7 +87,7 @@ def test_the_cameras_stamp_and_what_stands_still_are_read(folder: Path) -> None:
     rig = load_rig(folder / "rig.yaml")
     capture = rig.capture
     assert (capture.trigger, capture.pixel_format, capture.offset) == ("Line1", "Mono12p", (8, 16))
-    assert (capture.stamp, capture.delay_us) == ("end", -40.0)
+    assert (capture.stamp, capture.stamp_given, capture.delay_us) == ("end", True, -40.0)
     alpha, bravo = rig.robots
     assert rig.follows_world
     assert alpha.T_world_fixed is not None
