@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
     if problem := key_problem(name):
         raise InputError(f"{options.out}: the camera is named after the file, and {name!r} {problem}")
     target = parse_target(options.target)
-    source = open_source(options.source, None, say)
+    source = open_source(options.source, None, say, topic=options.topic)
     if target.kind == "leds":
         warm_up(*FINDING)
     search = _Search(target)

@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
 
     def frames() -> Iterator[Frame]:
         nonlocal quiet
-        source = open_source(options.source, rig, (lambda _: None) if quiet else say)
+        source = open_source(options.source, rig, (lambda _: None) if quiet else say, topic=options.topic)
         quiet = True
         fitting.close()
         yield from progress(source.frames(), source.length, next(rounds))

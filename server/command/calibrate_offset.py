@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     refuse_endless(options.source, "calibrate offset")
     rig = load_rig(options.rig)
     survey = read_survey(options.truth, [robot.id for robot in rig.robots])
-    source = open_source(options.source, rig, say)
+    source = open_source(options.source, rig, say, topic=options.topic)
     warm_up(*localizing(rig))
     seen = [
         (frame.name, sightings)

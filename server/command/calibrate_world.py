@@ -106,7 +106,7 @@ def _from_survey(
 ) -> tuple[Pose, Floats, Shares]:
     survey = read_survey(options.truth, [robot.id for robot in rig.robots], orientations=False)
     rig = without_world(rig)
-    source = open_source(options.source, rig, say)
+    source = open_source(options.source, rig, say, topic=options.topic)
     warm_up(*localizing(rig))
     seen = [
         (frame.name, sightings)
@@ -173,7 +173,7 @@ def _tell(fit: WorldFit) -> None:
 def _from_target(options: argparse.Namespace, rig: Rig, lens: Floats, _: Uncertainty) -> tuple[Pose, Floats, Shares]:
     target = parse_target(options.target)
     refuse_symmetric(target)
-    source = open_source(options.source, rig, say)
+    source = open_source(options.source, rig, say, topic=options.topic)
     if target.kind == "leds":
         warm_up(*FINDING)
     views, count = [], 0

@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
     given = load_rig(options.rig)
     rig = replace(given, z_correction=None)
     survey = read_survey(options.truth, [robot.id for robot in rig.robots])
-    source = open_source(options.source, rig, say)
+    source = open_source(options.source, rig, say, topic=options.topic)
     warm_up(*localizing(rig))
     seen = [
         (frame.name, sightings)

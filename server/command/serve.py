@@ -11,7 +11,7 @@ from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.number_arguments import count, port, positive, size
-from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing, named
+from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing, add_topic, named
 from asterism.server.output import check_folder_of_many
 from asterism.server.service.live_line import LiveLine
 from asterism.server.service.on_air import Place, on_air
@@ -37,6 +37,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     part.add_argument("rig", metavar="RIG", help="rig.yaml")
     part.add_argument("source", metavar="SOURCE", help=SOURCE)
+    add_topic(part)
     part.add_argument("--rate", metavar="HZ", type=positive, help="play images or a video at this rate")
     part.add_argument("--record", metavar="DIR", type=named, help="record into a new folder in DIR")
     part.add_argument(
@@ -75,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
     rig = load_rig(options.rig)
     say_warnings(rig)
     place = Place(options.listen, options.connect, options.zenoh)
-    source = open_source(options.source, rig, say)
+    source = open_source(options.source, rig, say, topic=options.topic)
     if source.live and options.rate is not None:
         raise InputError("--rate is for images and videos; a camera's rate stands in the rig (capture.rate)")
     clock, stop = clock_of(source), Stop()

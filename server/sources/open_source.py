@@ -1,6 +1,7 @@
 """From what a person names to the source it is."""
 
 import logging
+import re
 from pathlib import Path
 
 from asterism.protocol.errors import InputError
@@ -8,6 +9,7 @@ from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig
 from asterism.server.sources.camera import Camera
 from asterism.server.sources.files import ImageFiles, image_files
+from asterism.server.sources.foreign import ForeignFrames, holds_topics, open_topics
 from asterism.server.sources.images import EXTENSIONS
 from asterism.server.sources.recorded import RecordedFrames
 from asterism.server.sources.simulated import Simulated
@@ -18,14 +20,21 @@ from asterism.server.sources.video import VideoFile
 _LOG = logging.getLogger(__name__)
 
 
-def open_source(text: str, rig: Rig | None, say: Say, seed: int = 0) -> Source:
-    """The source that a person names: `0`, `/dev/video0`, a folder or glob of images, a video, a recording, `sim`.
+def open_source(text: str, rig: Rig | None, say: Say, seed: int = 0, topic: str | None = None) -> Source:
+    """The source that a person names: `0`, `/dev/video0`, a folder or glob of images, a video, a recording, `sim`, an
+    MCAP file or a bag with images on a ``topic`` (None: the only one).
 
     Without a rig images may be of any size, all of the same, and there is nothing to simulate.
 
     Raises InputError when it is none of these, WorldError when a camera does not open.
     """
-    source = _open(text, rig, say, seed)
+    path = Path(text)
+    if holds_topics(path) and (topic is not None or not _is_recorded(path)):
+        source: Source = ForeignFrames(text, open_topics(path), topic, rig, say)
+    elif topic is not None:
+        raise InputError(f"--topic {topic}: {text} has no topics; they are in MCAP files and bags of ROS")
+    else:
+        source = _open(text, rig, say, seed)
     many = "frames without end" if source.length is None else f"{source.length} frames"
     _LOG.debug("%s is a %s: %s at %g Hz", text, type(source).__name__, many, source.rate_hz)
     return source
@@ -42,8 +51,13 @@ def _open(text: str, rig: Rig | None, say: Say, seed: int) -> Source:
         return Camera(f"/dev/video{number}", lambda: open_v4l2(int(number), expected.capture, expected.size), rig, say)
     path = Path(text)
     if path.is_dir():
-        if any(path.glob("*.mcap")):
+        if any(map(_is_recorded, path.glob("*.mcap"))):
             return RecordedFrames(path, rig, say)
+        if any(path.glob("*.mcap")):
+            raise InputError(
+                f"{text}: holds MCAP files, but is neither a recording (poses-0001.mcap) nor a bag (metadata.yaml); "
+                "name one of the files"
+            )
         return image_files(text, [entry for entry in path.iterdir() if entry.is_file()], rig, say)
     if path.is_file():
         if path.suffix.lower() in EXTENSIONS:
@@ -58,6 +72,13 @@ def _open(text: str, rig: Rig | None, say: Say, seed: int) -> Source:
         f"{text}: there is no such source; expected a camera (0, /dev/video0), a folder or glob of images, a video, "
         "a recording, or sim"
     )
+
+
+def _is_recorded(path: Path) -> bool:
+    """Whether a file is named as those of a recording are, or a folder holds such files."""
+    if path.is_dir():
+        return any(map(_is_recorded, path.glob("*.mcap")))
+    return re.fullmatch(r"(poses|frames)-\d+\.mcap", path.name) is not None
 
 
 def _is_camera(text: str) -> bool:
