@@ -1,7 +1,8 @@
 """asterism calibrate camera: the lens model from views of a planar target."""
 
 import argparse
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from rich.table import Table
 from asterism.protocol.camera import parse_camera
 from asterism.protocol.errors import InputError
 from asterism.protocol.keys import key_problem
+from asterism.protocol.network import joins, open_server
 from asterism.server.calibration.lens.board_points import Seen, find_points
 from asterism.server.calibration.lens.bundle import View
 from asterism.server.calibration.lens.calibration import calibrate_camera, implausible, refuse_too_few
@@ -26,8 +28,10 @@ from asterism.server.chain.frame import Frame
 from asterism.server.chain.warm_up import FINDING, warm_up
 from asterism.server.command.calibrate import TARGET, add_source_and_out
 from asterism.server.command.progress import progress, working
+from asterism.server.command.shared_arguments import add_server
 from asterism.server.output import new_file
 from asterism.server.service.say import say
+from asterism.server.sources.network import NetworkImages
 from asterism.server.sources.open_source import open_source
 from asterism.server.sources.source import Source
 
@@ -46,6 +50,7 @@ ENOUGH_VIEWS = 25  # of a live camera, if they cover the image
 def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     add_source_and_out(part, "camera.yaml", rig=False)
+    add_server(part)
     part.add_argument("--target", metavar="TARGET", required=True, help=TARGET)
     part.add_argument(
         "--model",
@@ -69,10 +74,11 @@ def run(options: argparse.Namespace) -> int:
     if target.kind == "leds":
         warm_up(*FINDING)
     search = _Search(target)
-    if source.live:
-        _watch(source, search)
-    else:
-        _look_through(source, search)
+    with _joined(source, options):
+        if source.live:
+            _watch(source, search)
+        else:
+            _look_through(source, search)
     refuse_too_few(search.views, search.looked_at, target, options.source, search.samples)
     width, height = search.size
     with working("fitting the lens") as doing:
@@ -95,6 +101,25 @@ def run(options: argparse.Namespace) -> int:
     if kept:
         print(f"kept beside: {', '.join(map(str, kept))}")
     return 0
+
+
+@contextmanager
+def _joined(source: Source, options: argparse.Namespace) -> Iterator[None]:
+    """Images of the network come from where `serve` would take them: its own listener, or what it joins."""
+    place = (options.listen, options.connect, options.zenoh)
+    if not isinstance(source, NetworkImages):
+        if any(place):
+            raise InputError("--listen, --connect, --zenoh: are for images from the network, zenoh:KEY")
+        yield
+        return
+    if options.listen and options.connect:
+        raise InputError("--listen and --connect exclude each other; --connect joins what is there as a client")
+    with open_server(*place) as session:
+        source.join(session, listens=not joins(options.connect, options.zenoh))
+        try:
+            yield
+        finally:
+            source.close()
 
 
 class _Search:

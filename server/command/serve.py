@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from asterism.protocol.errors import InputError
+from asterism.protocol.network import joins
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.recorder import FramesKept, Recorder
@@ -20,6 +21,7 @@ from asterism.server.service.reload import reload_on_hangup
 from asterism.server.service.say import say, say_warnings
 from asterism.server.service.serve import Outlets, Run, Sink, Stop, stop_on_signals
 from asterism.server.sources.camera import clock_of
+from asterism.server.sources.network import NetworkImages
 from asterism.server.sources.open_source import open_source
 from asterism.server.sources.source import Source
 
@@ -84,6 +86,8 @@ def run(options: argparse.Namespace) -> int:
         collector = _metrics(options, rig, stack)
         air = stack.enter_context(on_air(place, rig, clock, stop.interrupt))
         warm_up(*localizing(rig, options.source))
+        if isinstance(source, NetworkImages):
+            source.join(air.session, listens=not joins(place.connect, place.options))
         last.enter_context(stop_on_signals(stop))  # until all is closed: a second Ctrl-C changes nothing
         sinks: tuple[Sink, ...] = ()
         rig_takers: tuple[Callable[[Rig], None], ...] = ()

@@ -13,12 +13,12 @@ from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame
 from asterism.server.sources.images import to_grey8
 from asterism.server.sources.session_clock import SessionClock
-from asterism.server.sources.source import DEFAULT_RATE_HZ, Expected, Say, Source
+from asterism.server.sources.source import DEFAULT_RATE_HZ, Expected, LiveSource, Say, Source
 
 
 def clock_of(source: Source) -> SessionClock:
     """What stamps a source's frames when they are served: a camera's own clock, or one that begins now."""
-    return source.clock if isinstance(source, Camera) else SessionClock()
+    return source.clock if isinstance(source, LiveSource) else SessionClock()
 
 
 class Taken(NamedTuple):
@@ -53,6 +53,7 @@ class Camera:
         self._expected = Expected(rig)
         self.rate_hz = self._expected.capture.rate_hz or DEFAULT_RATE_HZ
         self.unreadable = 0
+        self.lost = 0
         self.length: int | None = None
         self.problem = ""  # what is wrong now, a sentence
         self.clock = SessionClock()

@@ -11,6 +11,7 @@ from asterism.server.sources.camera import Camera
 from asterism.server.sources.files import ImageFiles, image_files
 from asterism.server.sources.foreign import ForeignFrames, holds_topics, open_topics
 from asterism.server.sources.images import EXTENSIONS
+from asterism.server.sources.network import SCHEME, NetworkImages
 from asterism.server.sources.recorded import RecordedFrames
 from asterism.server.sources.simulated import Simulated
 from asterism.server.sources.source import Expected, Say, Source
@@ -22,7 +23,8 @@ _LOG = logging.getLogger(__name__)
 
 def open_source(text: str, rig: Rig | None, say: Say, seed: int = 0, topic: str | None = None) -> Source:
     """The source that a person names: `0`, `/dev/video0`, a folder or glob of images, a video, a recording, `sim`, an
-    MCAP file or a bag with images on a ``topic`` (None: the only one).
+    MCAP file or a bag with images on a ``topic`` (None: the only one), or images of the network, `zenoh:KEY`, which
+    `NetworkImages.join` must be told the session of.
 
     Without a rig images may be of any size, all of the same, and there is nothing to simulate.
 
@@ -43,6 +45,8 @@ def open_source(text: str, rig: Rig | None, say: Say, seed: int = 0, topic: str 
 def _open(text: str, rig: Rig | None, say: Say, seed: int) -> Source:
     if text == "sim" and rig is not None:
         return Simulated(rig, seed)
+    if text.startswith(SCHEME):
+        return NetworkImages(text.removeprefix(SCHEME), rig, say)
     if _is_camera(text):
         number = text.removeprefix("/dev/video")
         if not number.isdecimal() or len(number) > 4:
@@ -69,8 +73,8 @@ def _open(text: str, rig: Rig | None, say: Say, seed: int) -> Source:
         base = Path(path.anchor) if path.is_absolute() else Path()
         return image_files(text, list(base.glob(str(path.relative_to(base)))), rig, say)
     raise InputError(
-        f"{text}: there is no such source; expected a camera (0, /dev/video0), a folder or glob of images, a video, "
-        "a recording, or sim"
+        f"{text}: there is no such source; expected a camera (0, /dev/video0, zenoh:KEY), a folder or glob of images, "
+        "a video, a recording, an MCAP file or a ROS bag, or sim"
     )
 
 
@@ -87,8 +91,8 @@ def _is_camera(text: str) -> bool:
 
 def refuse_endless(text: str, command: str) -> None:
     """Raise InputError for a source that never ends; ``command`` is what cannot use it."""
-    if text == "sim" or _is_camera(text):
+    if text == "sim" or text.startswith(SCHEME) or _is_camera(text):
         raise InputError(
-            f"{text}: has no end; {command} takes a folder or glob of images, a video or a recording "
-            f"({typed('simulate')} makes images)"
+            f"{text}: has no end; {command} takes a folder or glob of images, a video, a recording, an MCAP file or "
+            f"a ROS bag ({typed('simulate')} makes images)"
         )

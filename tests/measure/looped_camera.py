@@ -55,7 +55,7 @@ def write_film(rig_file: Path, rate_hz: float, frames: int, out: Path) -> None:
 if __name__ == "__main__":
     film, rate, rig_file, *options = sys.argv[1:]
 
-    def open_source(name: str, rig: Rig | None, say: Say) -> Camera:
+    def open_source(name: str, rig: Rig | None, say: Say, topic: str | None = None) -> Camera:
         return Camera(name, lambda: LoopedDevice(np.load(film, mmap_mode="r"), float(rate)), rig, say)
 
     serve.open_source = open_source

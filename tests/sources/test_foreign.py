@@ -29,8 +29,6 @@ from tests.sources.foreign_files import (
     write_mcap,
 )
 
-pytest.importorskip("rosbags", reason="needs the extra ros")
-
 RIG = make_rig(2, camera=make_camera(64, 48, 80.0))
 BEGAN_NS, STEP_NS = 1_700_000_000_123_456_789, 16_666_667
 COUNT = 5
