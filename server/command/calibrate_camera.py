@@ -26,9 +26,10 @@ from asterism.server.calibration.lens.targets import Target, parse_target
 from asterism.server.calibration.result_file import check_result_file
 from asterism.server.chain.frame import Frame
 from asterism.server.chain.warm_up import FINDING, warm_up
-from asterism.server.command.calibrate import TARGET, add_source_and_out
+from asterism.server.command.calibrate import TARGET
+from asterism.server.command.foreign_camera import FOREIGN, take_foreign
 from asterism.server.command.progress import progress, working
-from asterism.server.command.shared_arguments import add_server
+from asterism.server.command.shared_arguments import SOURCE, add_out, add_server, add_topic
 from asterism.server.output import new_file
 from asterism.server.service.say import say
 from asterism.server.sources.network import NetworkImages
@@ -39,6 +40,7 @@ EXAMPLES = (
     "asterism calibrate camera boards/ --target chessboard:9x6:0.025 -o camera.yaml\n"
     "asterism calibrate camera /dev/video0 --target charuco:8x6:0.028 -o camera.yaml\n"
     "asterism calibrate camera film/ --target leds:alpha.yaml -o camera.yaml\n"
+    "asterism calibrate camera --from ost.yaml -o camera.yaml\n"
 )
 
 SAMPLES = 5  # images that are kept for a hint
@@ -49,9 +51,12 @@ ENOUGH_VIEWS = 25  # of a live camera, if they cover the image
 
 def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    add_source_and_out(part, "camera.yaml", rig=False)
+    part.add_argument("source", metavar="SOURCE", nargs="?", help=SOURCE)
+    add_topic(part)
+    add_out(part, "camera.yaml", "what is written")
     add_server(part)
-    part.add_argument("--target", metavar="TARGET", required=True, help=TARGET)
+    part.add_argument("--target", metavar="TARGET", help=TARGET)
+    part.add_argument("--from", metavar="FILE", dest="foreign", help=FOREIGN)
     part.add_argument(
         "--model",
         choices=["auto", "plumb_bob", "rational_polynomial", "equidistant"],
@@ -61,7 +66,14 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Find the target, fit, write the calibration with report and plots, say how good it is."""
+    """Find the target, fit, write the calibration with report and plots, say how good it is; or take another's."""
+    if options.foreign is not None:
+        return take_foreign(options)
+    if options.source is None or options.target is None:
+        raise InputError(
+            "expected SOURCE and --target: images of a board, and what board that is; or --from FILE, a calibration of "
+            "another program's"
+        )
     for path in (options.out, *_beside(options.out)):
         check_result_file(path, options.force)
     if options.source == "sim":

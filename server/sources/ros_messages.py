@@ -135,11 +135,11 @@ def read_compressed(payload: bytes | memoryview, ros1: bool = False) -> Compress
 def read_camera_info(payload: bytes | memoryview, ros1: bool = False) -> CameraInfoTold:
     """A sensor_msgs/CameraInfo. Raises BadMessage."""
     fields = _Fields(payload, ros1)
-    _, name = fields.header()
+    fields.header()
     height, width, model = fields.number("I"), fields.number("I"), fields.text()
     distortion, matrix = fields.doubles(), fields.doubles(9).reshape(3, 3)
     fields.doubles(9 + 12)
     binning = (fields.number("I"), fields.number("I"))
     x, y, region_height, region_width = (fields.number("I") for _ in range(4))
     region = (x, y, region_width, region_height)
-    return CameraInfoTold(name, width, height, model, distortion, matrix, binning, region)
+    return CameraInfoTold("", width, height, model, distortion, matrix, binning, region)
