@@ -189,5 +189,15 @@ def check_image_size(camera: Camera, width: int, height: int, where: str) -> Non
     if (width, height) != (camera.width, camera.height):
         raise InputError(
             f"{where}: the image is {width}x{height}, expected {camera.width}x{camera.height}, "
-            f"the size that camera '{camera.name}' is calibrated for"
+            f"the size that camera '{camera.name}' is calibrated for{_part_hint(camera, width, height)}"
         )
+
+
+def _part_hint(camera: Camera, width: int, height: int) -> str:
+    """What a rig says where images are a part of what is calibrated."""
+    if width > camera.width or height > camera.height:
+        return ""
+    hint = f"capture: {{size: [{width}, {height}], offset: [x, y]}} for a region of it"
+    if camera.width // width == camera.height // height > 1:
+        hint = f"capture: {{binning: {camera.width // width}}} where pixels are joined, {hint}"
+    return f"; in the rig say {hint}"

@@ -26,12 +26,13 @@ class Capture:
     trigger: str | None = None  # `free`, `software`, `action` (GigE Vision's action command), or a line by its name
     stamp: str = STAMPS[0]  # what of the exposure the camera's stamp tells
     delay_us: float = 0.0  # from there to the stamp
+    binning: int | None = None  # pixels of the calibrated sensor that are joined to one, across and down
 
 
 def read_capture(section: Section) -> Capture:
     """The `capture` of a rig. Raises InputError with file, key, what was found and what is accepted."""
     keys = ("rate", "exposure_us", "gain", "size", "bits", "line_time_us")
-    section.only((*keys, "offset", "pixel_format", "trigger", "stamp", "delay_us"), CAPTURE_WORDS)
+    section.only((*keys, "offset", "pixel_format", "trigger", "stamp", "delay_us", "binning"), CAPTURE_WORDS)
     return Capture(
         rate_hz=section.number("rate", above=0) if "rate" in section else None,
         exposure_us=section.number("exposure_us", above=0) if "exposure_us" in section else None,
@@ -44,6 +45,7 @@ def read_capture(section: Section) -> Capture:
         trigger=section.text("trigger") if "trigger" in section else None,
         stamp=section.text("stamp", STAMPS) if "stamp" in section else STAMPS[0],
         delay_us=_delay(section) if "delay_us" in section else 0.0,
+        binning=section.integer("binning", 1, 16) if "binning" in section else None,
     )
 
 

@@ -20,11 +20,12 @@ from asterism.server.calibration.leds.observations import observe
 from asterism.server.calibration.survey.survey import match_frames, read_survey
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.calibrate import TRUTH
+from asterism.server.command.fitted_rig import open_fitting
 from asterism.server.command.progress import progress, working
 from asterism.server.command.shared_arguments import FINITE_SOURCE, add_out, add_topic
 from asterism.server.output import check_folder, new_folder
 from asterism.server.service.say import say
-from asterism.server.sources.open_source import open_source, refuse_endless
+from asterism.server.sources.open_source import refuse_endless
 from asterism.server.sources.source import Source
 
 EXAMPLES = "asterism report rig.yaml -o report\nasterism report rig.yaml --truth truth.jsonl frames/ -o report\n"
@@ -56,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
     if options.truth is not None:
         truth, name = options.truth
         refuse_endless(name, "report")
-        source = open_source(name, rig, say, topic=options.topic)
+        rig, source = open_fitting(name, rig, say, options.topic)
         compared, light = _compare(rig, Path(truth), source, uncertainty, light)
         measured = (compared, bins_of(compared), f"{name} beside {truth}")
     with working("reckoning the budget") as now:

@@ -11,6 +11,7 @@ from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.server.chain.warm_up import localizing, warm_up
+from asterism.server.command.fitted_rig import open_fitting
 from asterism.server.command.number_arguments import count, port, positive, size
 from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing, add_topic, named
 from asterism.server.output import check_folder_of_many
@@ -22,7 +23,6 @@ from asterism.server.service.say import say, say_warnings
 from asterism.server.service.serve import Outlets, Run, Sink, Stop, stop_on_signals
 from asterism.server.sources.camera import clock_of
 from asterism.server.sources.network import NetworkImages
-from asterism.server.sources.open_source import open_source
 from asterism.server.sources.source import Source
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     rig = load_rig(options.rig)
     say_warnings(rig)
     place = Place(options.listen, options.connect, options.zenoh)
-    source = open_source(options.source, rig, say, topic=options.topic)
+    rig, source = open_fitting(options.source, rig, say, options.topic)
     if source.live and options.rate is not None:
         raise InputError("--rate is for images and videos; a camera's rate stands in the rig (capture.rate)")
     clock, stop = clock_of(source), Stop()

@@ -89,9 +89,14 @@ def _is_camera(text: str) -> bool:
     return text.isdecimal() or text.startswith("/dev/video")
 
 
+def is_endless(text: str) -> bool:
+    """Whether a source never ends: a camera, the network, the simulator."""
+    return text == "sim" or text.startswith(SCHEME) or _is_camera(text)
+
+
 def refuse_endless(text: str, command: str) -> None:
     """Raise InputError for a source that never ends; ``command`` is what cannot use it."""
-    if text == "sim" or text.startswith(SCHEME) or _is_camera(text):
+    if is_endless(text):
         raise InputError(
             f"{text}: has no end; {command} takes a folder or glob of images, a video, a recording, an MCAP file or "
             f"a ROS bag ({typed('simulate')} makes images)"
