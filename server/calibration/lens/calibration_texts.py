@@ -5,12 +5,11 @@ FileStorage in YAML and XML, and what scripts dump of cv2.calibrateCamera's resu
 kalibr's camchain (https://github.com/ethz-asl/kalibr/wiki/yaml-formats) by its cameras.
 """
 
-import math
 import re
 from collections.abc import Mapping
 from typing import Any
+from xml.etree import ElementTree
 
-import cv2
 import numpy as np
 
 from asterism.protocol.errors import InputError
@@ -27,9 +26,12 @@ _NAMES_OF_MODELS = ("plumb_bob", "radtan", "rational_polynomial", "equidistant",
 
 def read_calibration(text: str, file: str, which: str | None) -> tuple[str, CameraInfoTold]:
     """What kind of text it is, in words, and what it tells; ``which`` of several cameras. Raises InputError."""
-    if "<opencv_storage" in text[:1000] or "!!opencv-matrix" in text or text.startswith("%YAML"):
+    if "<opencv_storage" in text[:1000]:
         _refuse_which(which, file)
-        return "OpenCV's FileStorage", _by_keys(_storage(text, file), file)
+        return "OpenCV's FileStorage", _by_keys(_storage_xml(text, file), file)
+    if "!!opencv-matrix" in text or text.startswith("%YAML"):
+        _refuse_which(which, file)
+        return "OpenCV's FileStorage", _by_keys(_storage_yaml(text, file), file)
     # A dump of several messages: the first.
     first = re.split(r"^(?:---|\.\.\.)\s*$", text.removeprefix("---\n"), maxsplit=1, flags=re.MULTILINE)[0]
     section = parse_yaml(first, file)
@@ -156,30 +158,29 @@ def _kalibr(section: Section, cameras: list[str], which: str | None) -> CameraIn
     return CameraInfoTold("", *size, camera.text("distortion_model"), np.array(coefficients), matrix)
 
 
-def _storage(text: str, file: str) -> dict[str, Any]:
-    """The values at the top of a FileStorage."""
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+def _storage_yaml(text: str, file: str) -> dict[str, Any]:
+    """The values at the top of a FileStorage in YAML, whose first line and tags other readers do not know."""
+    plain = re.sub(r"!!opencv-(?:nd-)?matrix", "", re.sub(r"^%YAML.*$", "", text, count=1, flags=re.MULTILINE))
+    return parse_yaml(plain, file).values
+
+
+def _storage_xml(text: str, file: str) -> dict[str, Any]:
+    """Of one in XML."""
+    if "<!" in text.replace("<!--", ""):
+        raise InputError(f"{file}: declares a document type, expected XML as OpenCV writes it")
     try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        root = storage.root()
-        return {key: _value(root.getNode(key)) for key in root.keys()}  # noqa: SIM118
-    except (cv2.error, SystemError, ValueError) as error:
-        why = shortened(" ".join(str(getattr(error, "err", "")).split()), 100)
-        raise InputError(f"{file}: OpenCV cannot read it as its FileStorage{f' ({why})' if why else ''}") from None
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise InputError(f"{file}: is no XML ({shortened(str(error))})") from None
+    return {part.tag: _value(part) for part in root}
 
 
-def _value(node: Any) -> Any:
-    if node.isInt() or node.isReal():
-        return node.real()
-    if node.isString():
-        return node.string()
-    if node.isSeq():
-        return [node.at(index).real() for index in range(min(node.size(), _MOST + 1))]
-    if node.isMap() and "dt" in node.keys():  # noqa: SIM118
-        parts = [node.getNode(key) for key in ("rows", "cols", "sizes")]  # sizes: OpenCV 5's, of one row
-        sizes = [part.real() for part in parts if part.isInt()]
-        sizes += [parts[2].at(index).real() for index in range(parts[2].size())] if parts[2].isSeq() else []
-        if not 0 < math.prod(sizes) <= _MOST:
-            raise ValueError(f"a matrix of {sizes} numbers")
-        return node.mat().tolist()
-    return None
+def _value(part: ElementTree.Element) -> Any:
+    """Numbers, a number or a text."""
+    data = part.find("data")
+    words = ((part if data is None else data).text or "").split()
+    try:
+        numbers = [float(word) for word in words[: _MOST + 1]]
+    except ValueError:
+        return (part.text or "").strip().strip('"')
+    return numbers if data is not None or len(numbers) != 1 else numbers[0]

@@ -10,10 +10,10 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 
 from asterism.protocol.camera import Camera, load_camera
 from asterism.protocol.errors import InputError
+from asterism.server.__main__ import main
 from asterism.server.calibration.lens.camera_file import camera_text
 from asterism.server.calibration.lens.foreign_camera import read_foreign_camera
 from tests.protocol.mutations import mutated_yaml
-from tests.servers import asterism
 from tests.sources.foreign_files import camera_info, ros_text, write_bag2, write_mcap
 
 K = [1400.0, 0.0, 645.3, 0.0, 1401.8, 508.7, 0.0, 0.0, 1.0]
@@ -199,10 +199,11 @@ def test_four_coefficients_without_a_model_are_not_guessed(tmp_path: Path) -> No
         read(written(tmp_path / "dump.yaml", DUMP), None, "equidistant")
 
 
-@pytest.mark.parametrize("kind", ["dump", "kalibr", "storage"])
+@pytest.mark.parametrize("kind", ["dump", "kalibr", "storage", "xml"])
 def test_whatever_a_file_holds_it_is_taken_or_refused(tmp_path: Path, kind: str, rng: np.random.Generator) -> None:
-    sample = storage(tmp_path / "s.yml", **SAMPLE, distortion_coefficients=np.array(D)).read_text()
-    text, path = {"dump": DUMP, "kalibr": KALIBR, "storage": sample}[kind], tmp_path / "mutated.yml"
+    suffix = "xml" if kind == "xml" else "yml"
+    sample = storage(tmp_path / f"s.{suffix}", **SAMPLE, distortion_coefficients=np.array(D)).read_text()
+    text, path = {"dump": DUMP, "kalibr": KALIBR}.get(kind, sample), tmp_path / "mutated"
     for _ in range(100):
         path.write_text(mutated_yaml(text, rng))
         try:
@@ -212,17 +213,35 @@ def test_whatever_a_file_holds_it_is_taken_or_refused(tmp_path: Path, kind: str,
         assert camera.matrix.shape == (3, 3)
 
 
-def test_the_command_writes_a_camera_file_that_a_rig_can_name(tmp_path: Path) -> None:
-    out = tmp_path / "cell.yaml"
+def test_the_command_writes_a_camera_file_that_a_rig_can_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, dump = tmp_path / "cell.yaml", written(tmp_path / "dump.yaml", DUMP)
     (tmp_path / "cell.report.yaml").write_text("made_by: calibrate camera\n")
-    done = asterism("calibrate", "camera", "--from", written(tmp_path / "dump.yaml", DUMP), "-o", out)
-    assert done.returncode == 0, done.stderr
-    assert "a dump of CameraInfo: 1280x1024, plumb_bob with 5 coefficients" in done.stdout
-    camera = load_camera(out)
-    check(camera, name="cell")
+    assert main(["calibrate", "camera", "--from", str(dump), "-o", str(out)]) == 0
+    told = capsys.readouterr().out
+    assert "a dump of CameraInfo: 1280x1024, plumb_bob with 5 coefficients" in told
+    check(load_camera(out), name="cell")
     # What was known of an older calibration is not known of this one.
-    assert "cell.report.yaml was of an older cell.yaml: kept as" in done.stdout
+    assert "cell.report.yaml was of an older cell.yaml: kept as" in told
     assert not (tmp_path / "cell.report.yaml").exists()
-    again = asterism("calibrate", "camera", "frames/", "--from", tmp_path / "dump.yaml", "-o", tmp_path / "b.yaml")
-    assert again.returncode == 2
-    assert "--from takes a calibration as it is; expected no SOURCE (frames/)" in again.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["frames/", "--from", "dump.yaml"], "--from takes a calibration as it is; expected no SOURCE (frames/)"),
+        (["--from", "nowhere.yaml"], "nowhere.yaml: no such file"),
+        (["--from", "dump.yaml", "--topic", "/a"], "--topic /a: dump.yaml has no topics"),
+        (["frames/"], "expected SOURCE and --target: images of a board"),
+        (["a.png", "--target", "chessboard:9x6:0.025", "--listen", "tcp/127.0.0.1:1"], "images from the network"),
+    ],
+)
+def test_what_the_command_cannot_take_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], sentence: str, capsys: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path / "dump.yaml", DUMP)
+    cv2.imwrite("a.png", np.zeros((40, 50), np.uint8))
+    assert main(["calibrate", "camera", *words, "-o", "c.yaml"]) == 2
+    assert sentence in capsys.readouterr().err
