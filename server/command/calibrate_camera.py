@@ -29,7 +29,7 @@ from asterism.server.chain.warm_up import FINDING, warm_up
 from asterism.server.command.calibrate import TARGET
 from asterism.server.command.foreign_camera import FOREIGN, take_foreign
 from asterism.server.command.progress import progress, working
-from asterism.server.command.shared_arguments import SOURCE, add_out, add_server, add_topic
+from asterism.server.command.shared_arguments import CAMERA_OR_FILES, add_out, add_server, add_topic
 from asterism.server.output import new_file
 from asterism.server.service.say import say
 from asterism.server.sources.network import NetworkImages
@@ -51,7 +51,7 @@ ENOUGH_VIEWS = 25  # of a live camera, if they cover the image
 
 def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    part.add_argument("source", metavar="SOURCE", nargs="?", help=SOURCE)
+    part.add_argument("source", metavar="SOURCE", nargs="?", help=CAMERA_OR_FILES)
     add_topic(part)
     add_out(part, "camera.yaml", "what is written")
     add_server(part)

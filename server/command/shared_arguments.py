@@ -5,7 +5,8 @@ import json
 from pathlib import Path
 
 FILES = "a folder or glob of images, a video, a recording, an MCAP file or a ROS bag"
-SOURCE = f"a camera (0, /dev/video0, zenoh:KEY), {FILES}, or sim"
+CAMERA_OR_FILES = f"a camera (0, /dev/video0, zenoh:KEY), {FILES}"
+SOURCE = f"{CAMERA_OR_FILES}, or sim"
 FINITE_SOURCE = FILES
 
 

@@ -13,10 +13,10 @@ from asterism.server.sources.depth import Depth
 from asterism.server.sources.image_messages import IMAGE_NAMES, IMAGE_TYPES, BadEncoding, picture
 from asterism.server.sources.images import to_grey8
 from asterism.server.sources.mcap_files import McapFiles
-from asterism.server.sources.ros_bags import METADATA, RosFiles, open_folder
+from asterism.server.sources.ros_bags import RosFiles, is_bag, open_folder
 from asterism.server.sources.ros_messages import BadMessage
 from asterism.server.sources.source import DEFAULT_RATE_HZ, Expected, Say
-from asterism.server.sources.topics import Topics, chosen
+from asterism.server.sources.topics import Topics, chosen, shown
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 RATE_MESSAGES = 20  # whose spacing tells the rate
@@ -24,7 +24,7 @@ RATE_MESSAGES = 20  # whose spacing tells the rate
 
 def holds_topics(path: Path) -> bool:
     """Whether a file or folder is of a kind that holds topics."""
-    return path.suffix.lower() in SUFFIXES if path.is_file() else (path / METADATA).exists()
+    return path.suffix.lower() in SUFFIXES if path.is_file() else is_bag(path)
 
 
 def open_topics(path: Path) -> Topics:
@@ -53,7 +53,7 @@ class ForeignFrames:
         self.length: int | None = self._topic.held
         times = [time_ns for time_ns, _ in islice(files.messages(self._topic), RATE_MESSAGES)]
         if not times:
-            raise InputError(f"{name}: topic {self._topic.name} holds no messages")
+            raise InputError(f"{name}: topic {shown(self._topic.name)} holds no messages")
         steps = [after - before for before, after in pairwise(times) if after > before]
         self.rate_hz = 1e9 / median(steps) if steps else DEFAULT_RATE_HZ
 
@@ -64,7 +64,7 @@ class ForeignFrames:
         before_ns, read = 0, 0
         decode = IMAGE_TYPES[self._topic.type, self._topic.encoding]
         for index, (written_ns, payload) in enumerate(self._files.messages(self._topic)):
-            where = f"{self.name}, {self._topic.name}, message {index}"
+            where = f"{self.name}, {shown(self._topic.name)}, message {index}"
             try:
                 found = picture(decode(bytes(payload)), partial(self._expected.check_size, where=where))
             except BadEncoding as problem:
@@ -81,4 +81,6 @@ class ForeignFrames:
             before_ns = exposed_ns
             yield Frame(grey, exposed_ns, index, f"{index:06d}", exposed_ns)
         if not read:
-            raise InputError(f"{self.name}: none of the {self.unreadable} images on {self._topic.name} can be read")
+            raise InputError(
+                f"{self.name}: none of the {self.unreadable} images on {shown(self._topic.name)} can be read"
+            )

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 SCHEME = "zenoh:"
 RAW, COMPRESSED = (f"application/protobuf;foxglove.{name}" for name in ("RawImage", "CompressedImage"))
 UNTOLD = ("", "zenoh/bytes", "application/octet-stream", "application/protobuf")  # then the payload tells
+MOST_BYTES = 1 << 27  # of a message: 64 million pixels of 16 bits
 WAITING = 3  # images that are not decoded yet; then the oldest goes
 SILENT_S = 1.0  # without an image it is said that none comes; cameras slower than that: ...
 SLOW = 3.0  # ... in so many times the time between the last two
@@ -47,7 +48,7 @@ SAID_EVERY_S = 10.0  # what is wrong with images, at most
 
 class _Arrived(NamedTuple):
     encoding: str
-    payload: bytes
+    payload: bytes | None  # None: too long
     at_ns: int  # on the monotonic clock
     number: int
 
@@ -130,7 +131,8 @@ class NetworkImages:
     def _receive(self, sample: "zenoh.Sample") -> None:
         """In zenoh's thread: only what must be done at once."""
         at_ns = self.clock.monotonic_ns()
-        self._put(_Arrived(str(sample.encoding), sample.payload.to_bytes(), at_ns, self._count))
+        payload = sample.payload.to_bytes() if len(sample.payload) <= MOST_BYTES else None
+        self._put(_Arrived(str(sample.encoding), payload, at_ns, self._count))
         self._count += 1
 
     def _put(self, arrived: _Arrived | None) -> None:
@@ -196,8 +198,12 @@ def check_key(key: str) -> None:
         )
 
 
-def told_by(encoding: str, payload: bytes) -> RawTold | CompressedTold:
-    """What a message says of its image. Raises BadMessage for a payload that is neither of the two kinds."""
+def told_by(encoding: str, payload: bytes | None) -> RawTold | CompressedTold:
+    """What a message says of its image. Raises BadMessage for a payload that is neither of the two kinds, or is None:
+    too long.
+    """
+    if payload is None:
+        raise BadMessage(f"is longer than {MOST_BYTES >> 20} MB")
     if encoding == RAW:
         return raw_image(payload)
     if encoding == COMPRESSED:

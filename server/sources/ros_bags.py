@@ -13,6 +13,7 @@ import lz4.frame
 import zstandard
 
 from asterism.protocol.errors import InputError
+from asterism.protocol.text_file import read_text
 from asterism.protocol.yaml_file import Section, read_yaml, shortened
 from asterism.recordings.chunks import MOST_BYTES
 from asterism.server.sources.mcap_files import McapFiles
@@ -22,9 +23,20 @@ METADATA = "metadata.yaml"
 STORAGES = ("mcap", "sqlite3")
 
 
+_INFORMATION = "rosbag2_bagfile_information"
+
+
+def is_bag(folder: Path) -> bool:
+    """Whether a folder is a rosbag2: others may hold a metadata.yaml too."""
+    try:
+        return _INFORMATION in read_text(folder / METADATA, "a bag's metadata")
+    except InputError:
+        return False
+
+
 def open_folder(path: Path) -> Topics:
     """The bag that a rosbag2 folder is. Raises InputError."""
-    section = read_yaml(path / METADATA).section("rosbag2_bagfile_information")
+    section = read_yaml(path / METADATA).section(_INFORMATION)
     storage = section.text("storage_identifier", STORAGES)
     mode = str(section.values.get("compression_mode") or "none").lower()
     if mode not in ("none", "message"):

@@ -18,7 +18,7 @@ class Topic(NamedTuple):
     held: int | None = None  # messages, where that is known
 
     def __str__(self) -> str:
-        return f"{shortened(self.name)} ({shortened(type_name(self.type))})"
+        return f"{shown(self.name)} ({shown(type_name(self.type))})"
 
 
 class Topics(Protocol):
@@ -33,6 +33,11 @@ class Topics(Protocol):
     def messages(self, topic: Topic) -> Iterator[tuple[int, bytes | memoryview]]:
         """When each message of a topic was written, ns, and its bytes, in that order. Raises InputError likewise."""
         ...
+
+
+def shown(name: str) -> str:
+    """A name as sentences have it: nothing in it moves a terminal's cursor."""
+    return shortened(name if name.isprintable() else repr(name))
 
 
 def ros2_name(name: str) -> str:
@@ -61,8 +66,8 @@ def chosen(files: Topics, wanted: str | None, accepted: Collection[tuple[str, st
         found = [topic for topic in named if topic in fitting]
         if not found:
             other = named[0]
-            kind = f"{type_name(other.type) or 'a type that nobody told'} ({other.encoding or 'no encoding'})"
-            raise InputError(f"{files.name}: topic {wanted} is {shortened(kind, 100)}, expected {what}: {types}")
+            kind = f"{shown(type_name(other.type) or 'a type that nobody told')} ({shown(other.encoding)})"
+            raise InputError(f"{files.name}: topic {wanted} is {kind}, expected {what}: {types}")
         return found[0]
     if not fitting:
         raise InputError(f"{files.name}: has no topic with {what} ({types}); it has {_listed(topics)}")

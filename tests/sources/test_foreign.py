@@ -183,6 +183,18 @@ def refusal(path: Path) -> str:
     return ""
 
 
+def test_a_folder_of_images_may_hold_other_metadata(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), pattern(1))
+    (tmp_path / "metadata.yaml").write_text("made_by: somebody\n")
+    assert [frame.name for frame in read(tmp_path)] == ["a.png"]
+
+
+def test_a_topics_name_moves_no_cursor(tmp_path: Path) -> None:
+    messages = [(f"/{name}\x1b[2J", 1, raw(pattern(0), 1)) for name in ("a", "b")]
+    with pytest.raises(InputError, match=r"'/a\\x1b\[2J' \(foxglove.RawImage\)"):
+        read(write_mcap(tmp_path / "a.mcap", messages))
+
+
 @pytest.mark.parametrize("kind", ["mcap", "cdr.mcap", "db3", "bag"])
 def test_damaged_files_end_in_a_sentence(tmp_path: Path, kind: str, rng: np.random.Generator) -> None:
     """Whatever is cut off or changed: frames, or one sentence."""

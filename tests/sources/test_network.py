@@ -158,6 +158,14 @@ def test_nothing_that_comes_in_ends_a_server(wire: Wire) -> None:
     assert len([text for text in wire.said if "skipped" in text]) == 1
 
 
+def test_a_message_longer_than_any_image_is_not_kept(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("asterism.server.sources.network.MOST_BYTES", 4000)
+    wire.put(raw(pattern(0), 5, pad=100).SerializeToString())
+    wire.put(raw(pattern(1), 6).SerializeToString())
+    assert next(wire.source.frames()).index == 1
+    assert "message 0: is longer than 0 MB" in wire.said[0]
+
+
 @pytest.mark.parametrize("seconds", [-1, -(2**62), 253_402_300_800, 2**63 - 1])
 def test_a_stamp_may_be_anything(wire: Wire, seconds: int) -> None:
     message = raw(pattern(1), 5)

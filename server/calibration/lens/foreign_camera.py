@@ -21,7 +21,7 @@ from asterism.protocol.yaml_file import describe, shortened
 from asterism.server.calibration.lens.calibration_texts import read_calibration
 from asterism.server.sources.foreign import holds_topics, open_topics
 from asterism.server.sources.ros_messages import BadMessage, CameraInfoTold, read_camera_info
-from asterism.server.sources.topics import chosen, type_name
+from asterism.server.sources.topics import chosen, shown, type_name
 
 # Models by the names that others give them.
 NAMES = {
@@ -70,9 +70,9 @@ def _from_topic(path: Path, topic: str | None) -> tuple[str, CameraInfoTold]:
         try:
             told = INFO_TYPES[found.type, found.encoding](bytes(payload))
         except BadMessage as problem:
-            raise InputError(f"{path}, {found.name}: {problem}") from None
-        return f"{type_name(found.type)} on {found.name}", told
-    raise InputError(f"{path}: topic {found.name} holds no messages")
+            raise InputError(f"{path}, {shown(found.name)}: {problem}") from None
+        return f"{type_name(found.type)} on {shown(found.name)}", told
+    raise InputError(f"{path}: topic {shown(found.name)} holds no messages")
 
 
 def _foxglove(payload: bytes) -> CameraInfoTold:
