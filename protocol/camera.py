@@ -198,6 +198,7 @@ def _part_hint(camera: Camera, width: int, height: int) -> str:
     if width > camera.width or height > camera.height:
         return ""
     hint = f"capture: {{size: [{width}, {height}], offset: [x, y]}} for a region of it"
-    if camera.width // width == camera.height // height > 1:
-        hint = f"capture: {{binning: {camera.width // width}}} where pixels are joined, {hint}"
+    step = camera.width // width
+    if step > 1 and (width * step, height * step) == (camera.width, camera.height):
+        hint = f"capture: {{binning: {step}}} where pixels are joined, {hint}"
     return f"; in the rig say {hint}"

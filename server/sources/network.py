@@ -42,7 +42,7 @@ UNTOLD = ("", "zenoh/bytes", "application/octet-stream", "application/protobuf")
 MOST_BYTES = 1 << 27  # of a message: 64 million pixels of 16 bits
 WAITING = 3  # images that are not decoded yet; then the oldest goes
 SILENT_S = 1.0  # without an image it is said that none comes; cameras slower than that: ...
-SLOW = 3.0  # ... in so many times the time between the last two
+SLOW = 3  # ... in so many times the time between the last two
 SAID_EVERY_S = 10.0  # what is wrong with images, at most
 
 
@@ -98,27 +98,29 @@ class NetworkImages:
         rig's `delay_us`. An index that is left out was lost or no image.
         """
         stamps = RemoteStamps(self._expected.capture)
-        patience_s, since_s = SILENT_S, time.monotonic()
+        # By when images arrived, not by when somebody has time for them.
+        patience_ns, since_ns, last_ns = round(SILENT_S * 1e9), time.monotonic_ns(), None
         while True:
-            left_s = since_s + patience_s - time.monotonic()
-            if left_s <= 0.0:
-                self._miss(patience_s)
-                patience_s, since_s, stamps = SILENT_S, time.monotonic(), RemoteStamps(self._expected.capture)
-                continue
             try:
-                arrived = self._arrived.get(timeout=left_s)
+                arrived = self._arrived.get(timeout=max(since_ns + patience_ns - time.monotonic_ns(), 0) * 1e-9)
             except queue.Empty:
+                self._miss(patience_ns)
+                patience_ns, since_ns, last_ns = round(SILENT_S * 1e9), time.monotonic_ns(), None
+                stamps = RemoteStamps(self._expected.capture)
                 continue
             if arrived is None:
                 return
             found = self._read(arrived)
             if found is None:
+                if arrived.at_ns > since_ns + patience_ns:
+                    self._miss(patience_ns)
+                    since_ns = arrived.at_ns
                 continue
             if self.problem:
                 self.problem = ""
                 self._say(f"{self.name}: images come")
-            now_s = time.monotonic()
-            patience_s, since_s = max(SILENT_S, SLOW * (now_s - since_s)), now_s
+            usual_ns, last_ns = (0 if last_ns is None else arrived.at_ns - last_ns), arrived.at_ns
+            patience_ns, since_ns = max(round(SILENT_S * 1e9), SLOW * usual_ns), arrived.at_ns
             yield self._frame(*found, arrived, stamps)
 
     def close(self) -> None:
@@ -174,11 +176,11 @@ class NetworkImages:
         clock = Clock.ARRIVAL if middle_ns is None else Clock.CAMERA
         return Frame(grey, exposed_ns, arrived.number, f"{arrived.number:06d}", arrived_ns, clock, session)
 
-    def _miss(self, silent_s: float) -> None:
+    def _miss(self, silent_ns: int) -> None:
         """Nothing came for so long, or nothing that is an image."""
         bad, self._bad = self._bad, ""
         why = f"what comes is none ({bad})" if bad else "waiting for them"
-        problem = f"{self.name}: no images for {silent_s:.1f} s; {why}"
+        problem = f"{self.name}: no images for {silent_ns * 1e-9:.1f} s; {why}"
         if not self.problem:
             self._say(problem)
         self.problem = problem

@@ -3,6 +3,7 @@
 import itertools
 import json
 import threading
+import time
 from collections.abc import Iterator
 
 import cv2
@@ -120,6 +121,41 @@ def test_silence_is_said_and_so_is_the_return(wire: Wire, monkeypatch: pytest.Mo
     assert taken == [0]
 
 
+def test_who_has_no_time_for_them_is_not_told_that_none_come(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("asterism.server.sources.network.SILENT_S", 0.001)
+    here = threading.Event()
+    last = wire.server.declare_subscriber("last", lambda _: here.set())
+    for k in range(3):
+        wire.put(raw(pattern(k), k + 1).SerializeToString())
+    wire.stranger.put("last", b"")
+    assert here.wait(20.0)
+    frames = wire.source.frames()
+    for k in range(3):
+        assert next(frames).index == k
+        time.sleep(0.01)  # who takes them is busy
+    assert wire.said == []
+    last.undeclare()
+
+
+def test_what_comes_instead_of_images_is_said(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("asterism.server.sources.network.SILENT_S", 0.05)
+    stop = threading.Event()
+
+    def flood() -> None:
+        while not stop.is_set():
+            wire.put(b"noise", "text/plain")
+
+    taking = threading.Thread(target=lambda: list(wire.source.frames()))
+    flooding = threading.Thread(target=flood)
+    taking.start()
+    flooding.start()
+    wire.wait_for("no images for 0.1 s; what comes is none (zenoh:cell/cam, message ")
+    stop.set()
+    flooding.join()
+    wire.source.close()
+    taking.join(10.0)
+
+
 def hostile() -> list[tuple[bytes, str]]:
     """What is no image of this camera."""
     small = raw(pattern(0), 5)
@@ -179,13 +215,10 @@ def test_a_stamp_may_be_anything(wire: Wire, seconds: int) -> None:
 def test_of_images_that_come_too_fast_the_newest_win(wire: Wire) -> None:
     for k in range(10):
         wire.put(raw(pattern(k), k + 1).SerializeToString())
-    done = threading.Event()
-    last = wire.stranger.declare_subscriber("done", lambda _: done.set())
     frames = wire.source.frames()
     newest = next(frame for frame in frames if frame.index == 9)
     np.testing.assert_array_equal(newest.image, pattern(9))
     assert wire.source.lost <= 7
-    last.undeclare()
 
 
 @pytest.mark.parametrize(
