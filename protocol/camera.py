@@ -1,5 +1,6 @@
 """The camera's calibration: the ROS camera_info file, read strictly, and the projection it describes."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,7 +9,9 @@ import numpy as np
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, frozen_array
 from asterism.protocol.keys import key_problem
-from asterism.protocol.yaml_file import Section, describe, parse_yaml, read_yaml
+from asterism.protocol.program import typed
+from asterism.protocol.text_file import read_text
+from asterism.protocol.yaml_file import Section, describe, parse_yaml
 
 # Coefficients that each model takes, in OpenCV's order.
 DISTORTION_MODELS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
@@ -23,6 +26,27 @@ _KEYS = (
     "rectification_matrix",
     "projection_matrix",
 )
+
+# What people and other programs write instead.
+_WORDS = {
+    "camera_model": "distortion_model",
+    "model": "distortion_model",
+    "name": "camera_name",
+    "serial": "camera_name",
+    "serial_number": "camera_name",
+    "k": "camera_matrix",
+    "intrinsics": "camera_matrix",
+    "intrinsic_matrix": "camera_matrix",
+    "d": "distortion_coefficients",
+    "dist_coeffs": "distortion_coefficients",
+    "distortion": "distortion_coefficients",
+    "distortion_coeffs": "distortion_coefficients",
+    "width": "image_width",
+    "height": "image_height",
+    "resolution": "image_width",
+}
+# Files of other programs hold one of these.
+_FOREIGN = re.compile(r"^%YAML|!!opencv-matrix|<opencv_storage|^(?:[kKdD]|cam\d+|mtx|dist|dist_coeffs?):", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,26 +112,44 @@ def distort(normalised: Floats, model: str, coefficients: Floats) -> Floats:
 
 def load_camera(path: Path) -> Camera:
     """Read a camera_info calibration file. Raises InputError with file, key, what was found, what is accepted."""
-    return _camera(read_yaml(path))
+    return parse_camera(read_text(path, "a YAML file"), str(path))
 
 
 def parse_camera(text: str, name: str) -> Camera:
     """The camera that the text of a camera_info file describes. Raises InputError as `load_camera` does."""
-    return _camera(parse_yaml(text, name))
+    try:
+        return _camera(parse_yaml(text, name), text)
+    except InputError as error:
+        if not _FOREIGN.search(text):
+            raise
+        command = typed("calibrate", "camera", "--from", name, "-o", "camera.yaml")
+        raise InputError(f"{error}; is it another program's calibration? Then {command} makes a file of it") from None
 
 
-def _camera(section: Section) -> Camera:
-    section.only(_KEYS)
-    width = section.integer("image_width", 16, 65_535)
-    height = section.integer("image_height", 16, 65_535)
-    name = section.text("camera_name")
+def _name(section: Section, text: str) -> str:
+    """A serial number is a name as it stands there, with its zeros in front."""
+    digits = re.search(r"^camera_name:[ \t]*([0-9]+)[ \t]*(?:#.*)?$", text, re.MULTILINE)
+    name = digits[1] if digits else section.text("camera_name")
     if problem := key_problem(name):
         raise section.error("camera_name", f"{describe(name)} {problem}; it becomes part of a zenoh key")
+    return name
+
+
+def _camera(section: Section, text: str) -> Camera:
+    section.only(_KEYS, _WORDS)
+    width = section.integer("image_width", 16, 65_535)
+    height = section.integer("image_height", 16, 65_535)
+    name = _name(section, text)
     matrix = np.array(_matrix(section, "camera_matrix", 3, 3)).reshape(3, 3)
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
         raise section.error(
             "camera_matrix",
             f"fx = {matrix[0, 0]:g} and fy = {matrix[1, 1]:g}, expected focal lengths above 0 px",
+        )
+    if matrix[0, 1] != 0.0:
+        raise section.error(
+            "camera_matrix",
+            f"a skew of {matrix[0, 1]:g} px, which no lens model here has, since sensors have none",
         )
     fixed = matrix.copy()
     fixed[0, 0] = fixed[1, 1] = fixed[0, 2] = fixed[1, 2] = 0.0
@@ -147,5 +189,16 @@ def check_image_size(camera: Camera, width: int, height: int, where: str) -> Non
     if (width, height) != (camera.width, camera.height):
         raise InputError(
             f"{where}: the image is {width}x{height}, expected {camera.width}x{camera.height}, "
-            f"the size that camera '{camera.name}' is calibrated for"
+            f"the size that camera '{camera.name}' is calibrated for{_part_hint(camera, width, height)}"
         )
+
+
+def _part_hint(camera: Camera, width: int, height: int) -> str:
+    """What a rig says where images are a part of what is calibrated."""
+    if width > camera.width or height > camera.height:
+        return ""
+    hint = f"capture: {{size: [{width}, {height}], offset: [x, y]}} for a region of it"
+    step = camera.width // width
+    if step > 1 and (width * step, height * step) == (camera.width, camera.height):
+        hint = f"capture: {{binning: {step}}} where pixels are joined, {hint}"
+    return f"; in the rig say {hint}"

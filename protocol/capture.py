@@ -27,12 +27,13 @@ class Capture:
     stamp: str = STAMPS[0]  # what of the exposure the camera's stamp tells
     stamp_given: bool = False  # whether the rig says so; V4L2's drivers say it themselves
     delay_us: float = 0.0  # from there to the stamp
+    binning: int | None = None  # pixels of the calibrated sensor that are joined to one, across and down
 
 
 def read_capture(section: Section) -> Capture:
     """The `capture` of a rig. Raises InputError with file, key, what was found and what is accepted."""
     keys = ("rate", "exposure_us", "gain", "size", "bits", "line_time_us")
-    section.only((*keys, "offset", "pixel_format", "trigger", "stamp", "delay_us"), CAPTURE_WORDS)
+    section.only((*keys, "offset", "pixel_format", "trigger", "stamp", "delay_us", "binning"), CAPTURE_WORDS)
     return Capture(
         rate_hz=section.number("rate", above=0) if "rate" in section else None,
         exposure_us=section.number("exposure_us", above=0) if "exposure_us" in section else None,
@@ -46,6 +47,7 @@ def read_capture(section: Section) -> Capture:
         stamp=section.text("stamp", STAMPS) if "stamp" in section else STAMPS[0],
         stamp_given="stamp" in section,
         delay_us=_delay(section) if "delay_us" in section else 0.0,
+        binning=section.integer("binning", 1, 16) if "binning" in section else None,
     )
 
 

@@ -22,6 +22,7 @@ from asterism.protocol.rig_hints import (
     in_metres,
     refuse_millimetres,
 )
+from asterism.protocol.sensor_part import captured
 from asterism.protocol.text_file import read_text
 from asterism.protocol.yaml_file import Section, describe, parse_yaml, read_yaml
 from asterism.protocol.z_correction import ZCorrection, read_correction
@@ -74,7 +75,7 @@ class Robot:
 class Rig:
     """One camera and its robots, with the texts of the files they came from."""
 
-    camera: Camera
+    camera: Camera  # as its images show it: where `capture` bins, or is a region, a part of what `camera_text` tells
     robots: tuple[Robot, ...]
     range_m: tuple[float, float] | None = None
     masks: tuple[tuple[int, int, int, int], ...] = ()  # x0, y0, x1, y1 px, both ends included
@@ -148,6 +149,11 @@ def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str, offs
     inner = section.section("robots")
     if not inner.values:
         raise section.error("robots", "is empty, expected at least one robot")
+    capture = read_capture(section.section("capture")) if "capture" in section else Capture()
+    try:
+        camera = captured(camera, capture)
+    except ValueError as problem:
+        raise section.error("capture", str(problem)) from None
     offset_texts: dict[str, str] = {}
 
     def remembered(led: Section, file: str) -> str:
@@ -163,7 +169,7 @@ def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str, offs
         range_m=_range(section) if "range" in section else None,
         masks=_masks(section, camera) if "masks" in section else (),
         centre=section.text("centre", ESTIMATORS) if "centre" in section else ESTIMATORS[0],
-        capture=read_capture(section.section("capture")) if "capture" in section else Capture(),
+        capture=capture,
         T_world_camera=T_world_camera,
         follows_world=follows,
         z_correction=read_correction(section.section("z_correction")) if "z_correction" in section else None,

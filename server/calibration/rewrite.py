@@ -205,7 +205,7 @@ def _flow(value: Any) -> str:
         return "[" + ", ".join(_flow(item) for item in value) + "]"
     if isinstance(value, str):
         return _scalar(value)
-    return number(value)
+    return str(value) if isinstance(value, int) else number(value)
 
 
 def number(value: float) -> str:

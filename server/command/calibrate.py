@@ -3,7 +3,7 @@
 import argparse
 
 from asterism.server.command.parser import module_of
-from asterism.server.command.shared_arguments import FINITE_SOURCE, add_out
+from asterism.server.command.shared_arguments import FINITE_SOURCE, add_out, add_topic
 
 EXAMPLES = (
     "asterism calibrate camera frames/ --target chessboard:9x6:0.025 -o camera.yaml\n"
@@ -23,11 +23,11 @@ TARGET = "KIND:COLSxROWS:PITCH, PITCH in m: chessboard (inner corners), circles,
 TRUTH = "surveyed poses: JSON lines as `asterism locate` writes them"
 
 
-def add_source_and_out(part: argparse.ArgumentParser, out: str, rig: bool = True) -> None:
-    """The arguments of every kind; ``out`` is what is written."""
-    if rig:
-        part.add_argument("rig", metavar="RIG", help="rig.yaml")
+def add_source_and_out(part: argparse.ArgumentParser, out: str) -> None:
+    """The arguments of every kind that has a rig; ``out`` is what is written."""
+    part.add_argument("rig", metavar="RIG", help="rig.yaml")
     part.add_argument("source", metavar="SOURCE", help=FINITE_SOURCE)
+    add_topic(part)
     add_out(part, out, "what is written")
 
 

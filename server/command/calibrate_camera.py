@@ -1,7 +1,8 @@
 """asterism calibrate camera: the lens model from views of a planar target."""
 
 import argparse
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from rich.table import Table
 from asterism.protocol.camera import parse_camera
 from asterism.protocol.errors import InputError
 from asterism.protocol.keys import key_problem
+from asterism.protocol.network import joins, open_server
 from asterism.server.calibration.lens.board_points import Seen, find_points
 from asterism.server.calibration.lens.bundle import View
 from asterism.server.calibration.lens.calibration import calibrate_camera, implausible, refuse_too_few
@@ -24,10 +26,13 @@ from asterism.server.calibration.lens.targets import Target, parse_target
 from asterism.server.calibration.result_file import check_result_file
 from asterism.server.chain.frame import Frame
 from asterism.server.chain.warm_up import FINDING, warm_up
-from asterism.server.command.calibrate import TARGET, add_source_and_out
+from asterism.server.command.calibrate import TARGET
+from asterism.server.command.foreign_camera import FOREIGN, take_foreign
 from asterism.server.command.progress import progress, working
+from asterism.server.command.shared_arguments import CAMERA_OR_FILES, add_out, add_server, add_topic
 from asterism.server.output import new_file
 from asterism.server.service.say import say
+from asterism.server.sources.network import NetworkImages
 from asterism.server.sources.open_source import open_source
 from asterism.server.sources.source import Source
 
@@ -35,6 +40,7 @@ EXAMPLES = (
     "asterism calibrate camera boards/ --target chessboard:9x6:0.025 -o camera.yaml\n"
     "asterism calibrate camera /dev/video0 --target charuco:8x6:0.028 -o camera.yaml\n"
     "asterism calibrate camera film/ --target leds:alpha.yaml -o camera.yaml\n"
+    "asterism calibrate camera --from ost.yaml -o camera.yaml\n"
 )
 
 SAMPLES = 5  # images that are kept for a hint
@@ -45,8 +51,12 @@ ENOUGH_VIEWS = 25  # of a live camera, if they cover the image
 
 def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    add_source_and_out(part, "camera.yaml", rig=False)
-    part.add_argument("--target", metavar="TARGET", required=True, help=TARGET)
+    part.add_argument("source", metavar="SOURCE", nargs="?", help=CAMERA_OR_FILES)
+    add_topic(part)
+    add_out(part, "camera.yaml", "what is written")
+    add_server(part)
+    part.add_argument("--target", metavar="TARGET", help=TARGET)
+    part.add_argument("--from", metavar="FILE", dest="foreign", help=FOREIGN)
     part.add_argument(
         "--model",
         choices=["auto", "plumb_bob", "rational_polynomial", "equidistant"],
@@ -56,7 +66,14 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Find the target, fit, write the calibration with report and plots, say how good it is."""
+    """Find the target, fit, write the calibration with report and plots, say how good it is; or take another's."""
+    if options.foreign is not None:
+        return take_foreign(options)
+    if options.source is None or options.target is None:
+        raise InputError(
+            "expected SOURCE and --target: images of a board, and what board that is; or --from FILE, a calibration of "
+            "another program's"
+        )
     for path in (options.out, *_beside(options.out)):
         check_result_file(path, options.force)
     if options.source == "sim":
@@ -65,14 +82,15 @@ def run(options: argparse.Namespace) -> int:
     if problem := key_problem(name):
         raise InputError(f"{options.out}: the camera is named after the file, and {name!r} {problem}")
     target = parse_target(options.target)
-    source = open_source(options.source, None, say)
+    source = open_source(options.source, None, say, topic=options.topic)
     if target.kind == "leds":
         warm_up(*FINDING)
     search = _Search(target)
-    if source.live:
-        _watch(source, search)
-    else:
-        _look_through(source, search)
+    with _joined(source, options):
+        if source.live:
+            _watch(source, search)
+        else:
+            _look_through(source, search)
     refuse_too_few(search.views, search.looked_at, target, options.source, search.samples)
     width, height = search.size
     with working("fitting the lens") as doing:
@@ -95,6 +113,25 @@ def run(options: argparse.Namespace) -> int:
     if kept:
         print(f"kept beside: {', '.join(map(str, kept))}")
     return 0
+
+
+@contextmanager
+def _joined(source: Source, options: argparse.Namespace) -> Iterator[None]:
+    """Images of the network come from where `serve` would take them: its own listener, or what it joins."""
+    place = (options.listen, options.connect, options.zenoh)
+    if not isinstance(source, NetworkImages):
+        if any(place):
+            raise InputError("--listen, --connect, --zenoh: are for images from the network, zenoh:KEY")
+        yield
+        return
+    if options.listen and options.connect:
+        raise InputError("--listen and --connect exclude each other; --connect joins what is there as a client")
+    with open_server(*place) as session:
+        source.join(session, listens=not joins(options.connect, options.zenoh))
+        try:
+            yield
+        finally:
+            source.close()
 
 
 class _Search:

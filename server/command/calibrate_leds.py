@@ -30,6 +30,7 @@ from asterism.server.calibration.rewrite import annotate, relocate, rewrite
 from asterism.server.chain.frame import Frame
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.calibrate import add_source_and_out
+from asterism.server.command.fitted_rig import fitting
 from asterism.server.command.number_arguments import positive
 from asterism.server.command.progress import progress, working
 from asterism.server.service.say import say
@@ -84,26 +85,26 @@ def run(options: argparse.Namespace) -> int:
     check_result_file(options.out, options.force)
     check_uncertainty_file(options.out, options.force)
     refuse_endless(options.source, "calibrate leds")
-    rig = load_rig(options.rig)
+    rig = fitting(options.source, load_rig(options.rig), say, options.topic)
     ids = [robot.id for robot in rig.robots]
     if options.robot not in ids:
         raise InputError(f"--robot {options.robot}: is not in {options.rig}, expected one of {', '.join(ids)}")
     rounds = iter(("finding the LEDs", "learning where they are", "measuring", "fitting their places"))
-    fitting = ExitStack()
+    fit = ExitStack()
     quiet = False  # the second round meets the same unreadable images again
 
     def frames() -> Iterator[Frame]:
         nonlocal quiet
-        source = open_source(options.source, rig, (lambda _: None) if quiet else say)
+        source = open_source(options.source, rig, (lambda _: None) if quiet else say, topic=options.topic)
         quiet = True
-        fitting.close()
+        fit.close()
         yield from progress(source.frames(), source.length, next(rounds))
-        fitting.enter_context(working(next(rounds)))
+        fit.enter_context(working(next(rounds)))
 
     warm_up(*localizing(rig))
     robot = rig.robot(options.robot)
     gauge = Gauge(robot.leds, options.distance, options.frame)
-    with fitting:
+    with fit:
         found = calibrate_leds(rig, options.robot, frames, options.source, gauge)
     adjusted, normal = found.adjusted, robot.T_robot_plane.rotation[:, 2]
     leds = adjusted.leds.round(DECIMALS) + 0.0

@@ -27,9 +27,10 @@ from asterism.server.calibration.survey.survey import read_survey
 from asterism.server.calibration.survey.surveyed import check_survey, pair
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.calibrate import TRUTH, add_source_and_out
+from asterism.server.command.fitted_rig import open_fitting
 from asterism.server.command.progress import progress, working
 from asterism.server.service.say import say
-from asterism.server.sources.open_source import open_source, refuse_endless
+from asterism.server.sources.open_source import refuse_endless
 
 EXAMPLES = "asterism calibrate offset rig.yaml tilted/ --truth surveyed.jsonl -o led.yaml\n"
 
@@ -50,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     refuse_endless(options.source, "calibrate offset")
     rig = load_rig(options.rig)
     survey = read_survey(options.truth, [robot.id for robot in rig.robots])
-    source = open_source(options.source, rig, say)
+    rig, source = open_fitting(options.source, rig, say, options.topic)
     warm_up(*localizing(rig))
     seen = [
         (frame.name, sightings)

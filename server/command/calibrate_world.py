@@ -28,6 +28,7 @@ from asterism.server.calibration.survey.world_board import fit_board
 from asterism.server.calibration.survey.world_lens import RobotError, Shares, with_systematic_errors
 from asterism.server.chain.warm_up import FINDING, localizing, warm_up
 from asterism.server.command.calibrate import TARGET, TRUTH, add_source_and_out
+from asterism.server.command.fitted_rig import fitting
 from asterism.server.command.progress import progress, working
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
@@ -55,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
     check_uncertainty_file(options.out, options.force)
     command = "calibrate world"
     refuse_endless(options.source, command)
-    rig = load_rig(options.rig)
+    rig = fitting(options.source, load_rig(options.rig), say, options.topic)
     camera_path = Path(options.rig).parent / parse_yaml(rig.rig_text, options.rig).text("camera")
     uncertainty = read_uncertainty(Path(options.rig), rig.centre, camera_path)
     lens = lens_error_of(rig.camera, camera_path, uncertainty)
@@ -106,7 +107,7 @@ def _from_survey(
 ) -> tuple[Pose, Floats, Shares]:
     survey = read_survey(options.truth, [robot.id for robot in rig.robots], orientations=False)
     rig = without_world(rig)
-    source = open_source(options.source, rig, say)
+    source = open_source(options.source, rig, say, topic=options.topic)
     warm_up(*localizing(rig))
     seen = [
         (frame.name, sightings)
@@ -173,7 +174,7 @@ def _tell(fit: WorldFit) -> None:
 def _from_target(options: argparse.Namespace, rig: Rig, lens: Floats, _: Uncertainty) -> tuple[Pose, Floats, Shares]:
     target = parse_target(options.target)
     refuse_symmetric(target)
-    source = open_source(options.source, rig, say)
+    source = open_source(options.source, rig, say, topic=options.topic)
     if target.kind == "leds":
         warm_up(*FINDING)
     views, count = [], 0

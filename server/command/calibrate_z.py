@@ -12,6 +12,7 @@ from asterism.protocol.camera import parse_camera
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, angle_between
 from asterism.protocol.rig import Rig, Robot, load_rig, parse_rig
+from asterism.protocol.sensor_part import whole_of
 from asterism.protocol.yaml_file import parse_yaml
 from asterism.protocol.z_correction import ZCorrection
 from asterism.server.budget.uncertainty import LedError
@@ -28,9 +29,10 @@ from asterism.server.calibration.survey.surveyed import Pairs, check_spread, che
 from asterism.server.calibration.survey.surveyed_fit import errors_of
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.calibrate import TRUTH, add_source_and_out
+from asterism.server.command.fitted_rig import open_fitting
 from asterism.server.command.progress import progress, working
 from asterism.server.service.say import say
-from asterism.server.sources.open_source import open_source, refuse_endless
+from asterism.server.sources.open_source import refuse_endless
 
 EXAMPLES = (
     "asterism calibrate z rig.yaml frames/ --truth surveyed.jsonl -o rig2.yaml\n"
@@ -61,10 +63,9 @@ def run(options: argparse.Namespace) -> int:
         check_result_file(report_path(camera_out), options.force)
     check_uncertainty_file(options.out, options.force)
     refuse_endless(options.source, "calibrate z")
-    given = load_rig(options.rig)
+    given, source = open_fitting(options.source, load_rig(options.rig), say, options.topic)
     rig = replace(given, z_correction=None)
     survey = read_survey(options.truth, [robot.id for robot in rig.robots])
-    source = open_source(options.source, rig, say)
     warm_up(*localizing(rig))
     seen = [
         (frame.name, sightings)
@@ -87,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
 
     text = _rig_text(given, new, [robot for robot in rig.robots if _seen(robot.id, used)] if kept else [], options.rig)
     text = with_correction(text, correction, len(used))
-    camera_text = _camera_text(rig, new) if kept else rig.camera_text
+    camera_text = refitted_text(rig, new) if kept else rig.camera_text
     parse_rig(text, camera_text, str(options.out), rig.offset_texts)
     text = relocate(text, Path(options.rig), options.out)
     olds, beside = [], []
@@ -95,7 +96,10 @@ def run(options: argparse.Namespace) -> int:
         text = rewrite(text, {("camera",): camera_out.name}, str(options.out))
         beside = [camera_out, report_path(camera_out)]
         written = parse_camera(camera_text, str(camera_out))
-        report = refit_report_text(written, found.lens_covariance, f"{options.source}, {options.truth}", len(used))
+        # Of a part of the sensor to all of it: as much larger as its pixels are.
+        larger = np.concatenate([np.full(4, rig.capture.binning or 1), np.ones(len(found.lens_covariance) - 4)])
+        covariance = found.lens_covariance * np.outer(larger, larger)
+        report = refit_report_text(written, covariance, f"{options.source}, {options.truth}", len(used))
         olds += [
             write_result_file(path, each, options.force)
             for path, each in zip(beside, (camera_text, report), strict=True)
@@ -158,8 +162,13 @@ def _rig_text(given: Rig, new: Rig, robots: list[Robot], name: str) -> str:
     return rewrite(given.rig_text, changes, name)
 
 
-def _camera_text(rig: Rig, new: Rig) -> str:
-    camera = new.camera
+def refitted_text(rig: Rig, new: Rig) -> str:
+    """The camera file with the refitted lens: of the whole sensor, as the one that it replaces."""
+    camera, before = new.camera, parse_camera(rig.camera_text, "camera.yaml")
+    if (before.width, before.height) != (camera.width, camera.height):
+        binning = rig.capture.binning or 1
+        matrix = whole_of(camera.matrix, rig.capture.offset or (0, 0), (binning, binning))
+        camera = replace(before, matrix=matrix, distortion=camera.distortion)
     values = parse_yaml(rig.camera_text, "camera.yaml").values
     coefficients = len(values["distortion_coefficients"]["data"])
     changes: dict[tuple[str, ...], Value] = {
@@ -169,7 +178,7 @@ def _camera_text(rig: Rig, new: Rig) -> str:
     if "projection_matrix" in values:
         projection = np.array(values["projection_matrix"]["data"], np.float64).reshape(3, 4)
         # Of an image that nobody rectifies it repeats the camera's matrix; otherwise it is another camera's.
-        if np.allclose(projection[:, :3], rig.camera.matrix, atol=1e-3):
+        if np.allclose(projection[:, :3], before.matrix, atol=1e-3):
             projection[:, :3] = camera.matrix.round(5)
             changes[("projection_matrix", "data")] = (projection.ravel() + 0.0).tolist()
     return rewrite(rig.camera_text, changes, "camera.yaml")

@@ -20,8 +20,9 @@ from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.chain.pipeline import localize
 from asterism.server.chain.smooth import Motions, smooth
 from asterism.server.chain.warm_up import localizing, warm_up
+from asterism.server.command.fitted_rig import open_fitting
 from asterism.server.command.number_arguments import bits
-from asterism.server.command.shared_arguments import FINITE_SOURCE, add_out, add_smoothing
+from asterism.server.command.shared_arguments import FINITE_SOURCE, add_out, add_smoothing, add_topic
 from asterism.server.output import check_file, new_file
 from asterism.server.pose.solve import PoseEstimate
 from asterism.server.pose.track import Tracks
@@ -30,7 +31,7 @@ from asterism.server.service.live_line import LiveLine, Now
 from asterism.server.service.say import say, say_warnings
 from asterism.server.service.serve import Stop, stop_on_signals
 from asterism.server.service.tally import Tally
-from asterism.server.sources.open_source import open_source, refuse_endless
+from asterism.server.sources.open_source import refuse_endless
 from asterism.server.sources.source import Source
 
 EXAMPLES = (
@@ -45,6 +46,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     part.add_argument("rig", metavar="RIG", help="rig.yaml")
     part.add_argument("source", metavar="SOURCE", help=FINITE_SOURCE)
+    add_topic(part)
     add_out(part, "OUT", "where the lines go; - for the terminal")
     part.add_argument("--independent", action="store_true", help="each frame alone, without what came before")
     part.add_argument(
@@ -67,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
         rig = replace(rig, capture=replace(rig.capture, bits=options.bits))
     say_warnings(rig)
     refuse_endless(options.source, "locate")
-    source = open_source(options.source, rig, say)
+    rig, source = open_fitting(options.source, rig, say, options.topic)
     warm_up(*localizing(rig, options.source))
     encoder, stop = msgspec.json.Encoder(), Stop()
     tally = Tally(robot.id for robot in rig.robots)

@@ -7,6 +7,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from asterism.protocol.errors import InputError
 from asterism.protocol.rig import Rig, load_rig
 from asterism.protocol.yaml_file import parse_yaml
 from asterism.server.budget.budget import SOURCES, Light
@@ -19,11 +20,13 @@ from asterism.server.calibration.leds.observations import observe
 from asterism.server.calibration.survey.survey import match_frames, read_survey
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.calibrate import TRUTH
+from asterism.server.command.fitted_rig import open_fitting
 from asterism.server.command.progress import progress, working
-from asterism.server.command.shared_arguments import FINITE_SOURCE, add_out
+from asterism.server.command.shared_arguments import FINITE_SOURCE, add_out, add_topic
 from asterism.server.output import check_folder, new_folder
 from asterism.server.service.say import say
-from asterism.server.sources.open_source import open_source, refuse_endless
+from asterism.server.sources.open_source import refuse_endless
+from asterism.server.sources.source import Source
 
 EXAMPLES = "asterism report rig.yaml -o report\nasterism report rig.yaml --truth truth.jsonl frames/ -o report\n"
 
@@ -36,6 +39,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     part.add_argument(
         "--truth", metavar=("TRUTH", "SOURCE"), nargs=2, help=f"measured beside predicted: {TRUTH}, and {FINITE_SOURCE}"
     )
+    add_topic(part)
     add_out(part, "DIR", "where page and plots go, a new or empty folder")
 
 
@@ -48,10 +52,14 @@ def run(options: argparse.Namespace) -> int:
     uncertainty = read_uncertainty(Path(options.rig), rig.centre, camera)
     light = Light.assumed(rig.centre)
     measured = None
+    if options.truth is None and options.topic is not None:
+        raise InputError("--topic is for the source of --truth TRUTH SOURCE")
     if options.truth is not None:
-        truth, source = options.truth
+        truth, name = options.truth
+        refuse_endless(name, "report")
+        rig, source = open_fitting(name, rig, say, options.topic)
         compared, light = _compare(rig, Path(truth), source, uncertainty, light)
-        measured = (compared, bins_of(compared), f"{source} beside {truth}")
+        measured = (compared, bins_of(compared), f"{name} beside {truth}")
     with working("reckoning the budget") as now:
         budget = budget_of(rig, uncertainty, light)
         now("plots")
@@ -72,16 +80,14 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _compare(rig: Rig, truth: Path, source_name: str, uncertainty: Uncertainty, light: Light) -> tuple[Compared, Light]:
+def _compare(rig: Rig, truth: Path, source: Source, uncertainty: Uncertainty, light: Light) -> tuple[Compared, Light]:
     survey = read_survey(truth, [robot.id for robot in rig.robots])
-    refuse_endless(source_name, "report")
-    source = open_source(source_name, rig, say)
     warm_up(*localizing(rig))
     seen = [
         (frame.name, sightings)
         for frame, sightings in observe(progress(source.frames(), source.length, "localizing"), rig)
     ]
-    matched = match_frames(survey, [name for name, _ in seen], source_name)
+    matched = match_frames(survey, [name for name, _ in seen], source.name)
     for remark in matched.remarks:
         say(remark)
     light = light_of(rig, light, [sighting for _, sightings in seen for sighting in sightings])

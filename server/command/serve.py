@@ -6,12 +6,14 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from asterism.protocol.errors import InputError
+from asterism.protocol.network import joins
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.server.chain.warm_up import localizing, warm_up
+from asterism.server.command.fitted_rig import open_fitting
 from asterism.server.command.number_arguments import count, port, positive, size
-from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing, named
+from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing, add_topic, named
 from asterism.server.output import check_folder_of_many
 from asterism.server.service.live_line import LiveLine
 from asterism.server.service.on_air import Place, on_air
@@ -20,7 +22,7 @@ from asterism.server.service.reload import reload_on_hangup
 from asterism.server.service.say import say, say_warnings
 from asterism.server.service.serve import Outlets, Run, Sink, Stop, stop_on_signals
 from asterism.server.sources.camera import clock_of
-from asterism.server.sources.open_source import open_source
+from asterism.server.sources.network import NetworkImages
 from asterism.server.sources.source import Source
 
 if TYPE_CHECKING:
@@ -37,6 +39,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     part.add_argument("rig", metavar="RIG", help="rig.yaml")
     part.add_argument("source", metavar="SOURCE", help=SOURCE)
+    add_topic(part)
     part.add_argument("--rate", metavar="HZ", type=positive, help="play images or a video at this rate")
     part.add_argument("--record", metavar="DIR", type=named, help="record into a new folder in DIR")
     part.add_argument(
@@ -75,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     rig = load_rig(options.rig)
     say_warnings(rig)
     place = Place(options.listen, options.connect, options.zenoh)
-    source = open_source(options.source, rig, say)
+    rig, source = open_fitting(options.source, rig, say, options.topic)
     if source.live and options.rate is not None:
         raise InputError("--rate is for images and videos; a camera's rate stands in the rig (capture.rate)")
     clock, stop = clock_of(source), Stop()
@@ -83,6 +86,8 @@ def run(options: argparse.Namespace) -> int:
         collector = _metrics(options, rig, stack)
         air = stack.enter_context(on_air(place, rig, clock, stop.interrupt))
         warm_up(*localizing(rig, options.source))
+        if isinstance(source, NetworkImages):
+            source.join(air.session, listens=not joins(place.connect, place.options))
         last.enter_context(stop_on_signals(stop))  # until all is closed: a second Ctrl-C changes nothing
         sinks: tuple[Sink, ...] = ()
         rig_takers: tuple[Callable[[Rig], None], ...] = ()

@@ -4,8 +4,15 @@ import argparse
 import json
 from pathlib import Path
 
-SOURCE = "a camera (0, /dev/video0 or a link, genicam:SERIAL), a folder or glob of images, a video, a recording, or sim"
-FINITE_SOURCE = "a folder or glob of images, a video, or a recording"
+FILES = "a folder or glob of images, a video, a recording, an MCAP file or a ROS bag"
+CAMERA_OR_FILES = f"a camera (0, /dev/video0 or a link, genicam:SERIAL, zenoh:KEY), {FILES}"
+SOURCE = f"{CAMERA_OR_FILES}, or sim"
+FINITE_SOURCE = FILES
+
+
+def add_topic(part: argparse.ArgumentParser) -> None:
+    """Which of a file's topics SOURCE is."""
+    part.add_argument("--topic", metavar="TOPIC", help="of an MCAP file or a ROS bag, where several hold images")
 
 
 def add_server(part: argparse.ArgumentParser) -> None:

@@ -96,6 +96,12 @@ def refuse_another_camera(rig: Rig, served: Rig, path: str) -> None:
             f"{path}: its camera's images are {new.width}x{new.height}, expected {old.width}x{old.height} as served; "
             "for another size stop the server and start it anew"
         )
+    now, then = rig.capture, served.capture
+    if (now.offset, now.binning or 1) != (then.offset, then.binning or 1):
+        raise InputError(
+            f"{path}: capture.offset and binning are {now.offset} and {now.binning or 1}, expected {then.offset} and "
+            f"{then.binning or 1} as the camera was opened with; for others stop the server and start it anew"
+        )
 
 
 def settings_left(before: Rig, after: Rig) -> str:

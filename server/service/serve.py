@@ -28,10 +28,9 @@ from asterism.server.service.reload import Outcome, Reloader, settings_left
 from asterism.server.service.say import complain, say, say_warnings
 from asterism.server.service.systemd import Systemd
 from asterism.server.service.threads import Feed, Ticker
-from asterism.server.sources.camera import Camera
 from asterism.server.sources.paced import paced
 from asterism.server.sources.session_clock import SessionClock
-from asterism.server.sources.source import Source
+from asterism.server.sources.source import LiveSource, Source
 
 STATUS_EVERY_S = 1.0
 SILENT_S = 0.5  # after that long without a frame no robot counts as visible
@@ -129,7 +128,7 @@ class Run:
         with ExitStack() as stack:
             feed = Feed(frames, source.live)
             stack.callback(feed.close)
-            if isinstance(source, Camera):
+            if isinstance(source, LiveSource):
                 stack.callback(source.close)
             stack.callback(self._count, feed)
             stack.callback(Ticker(lambda: self._tick(feed), STATUS_EVERY_S).close)
@@ -174,8 +173,7 @@ class Run:
     def _count(self, feed: Feed) -> None:
         """Bring the numbers up to date that others count."""
         recorder, health = self.outlets.recorder, self.health
-        missed = self.source.missed if isinstance(self.source, Camera) else 0
-        health.frames_dropped = feed.dropped + missed
+        health.frames_dropped = feed.dropped + (self.source.missed if isinstance(self.source, LiveSource) else 0)
         health.frames_unreadable = self.source.unreadable
         if recorder is not None:
             health.frames_not_recorded = recorder.frames_left_out
@@ -185,7 +183,7 @@ class Run:
 
     def _waiting(self) -> str:
         """Why there are no frames, where the source itself says so."""
-        return self.source.problem if isinstance(self.source, Camera) else ""
+        return self.source.problem if isinstance(self.source, LiveSource) else ""
 
     def _tick(self, feed: Feed) -> None:
         """Once a second: tell the status, say what is to be said."""

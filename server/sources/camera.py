@@ -13,14 +13,14 @@ from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame
 from asterism.server.sources.images import to_grey8
 from asterism.server.sources.session_clock import SessionClock
-from asterism.server.sources.source import DEFAULT_RATE_HZ, Expected, Say, Source
+from asterism.server.sources.source import DEFAULT_RATE_HZ, Expected, LiveSource, Say, Source
 
 RETRY_S = 1.0
 
 
 def clock_of(source: Source) -> SessionClock:
     """What stamps a source's frames when they are served: a camera's own clock, or one that begins now."""
-    return source.clock if isinstance(source, Camera) else SessionClock()
+    return source.clock if isinstance(source, LiveSource) else SessionClock()
 
 
 class Taken(NamedTuple):

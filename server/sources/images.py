@@ -46,6 +46,11 @@ def read_pages(path: Path, check_size: CheckSize) -> Iterator[tuple[str, NDArray
         raise UnreadableImage(f"cannot be read ({error.strerror})") from None
     except InputError as error:
         raise UnreadableImage(str(error).removeprefix(f"{path}: ")) from None
+    yield from pages_of(data, path.name, check_size)
+
+
+def pages_of(data: bytes, file: str, check_size: CheckSize) -> Iterator[tuple[str, NDArray[Any]]]:
+    """The images in the bytes of such a ``file``, likewise."""
     if not data:
         raise UnreadableImage("is empty")
     try:
@@ -56,7 +61,7 @@ def read_pages(path: Path, check_size: CheckSize) -> Iterator[tuple[str, NDArray
         check_size(width, height)
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     for page in range(len(sizes)):
-        name = path.name if len(sizes) == 1 else f"{path.name}#{page}"
+        name = file if len(sizes) == 1 else f"{file}#{page}"
         image = _decoded(np.frombuffer(open_ended(data), np.uint8), page, len(sizes))
         width, height = sizes[page]
         if image.shape[:2] != (height, width):

@@ -1,7 +1,7 @@
 """What a source is, and what its images must be like."""
 
 from collections.abc import Callable, Iterator
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from asterism.protocol.capture import Capture
 from asterism.protocol.errors import InputError
 from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame
+from asterism.server.sources.session_clock import SessionClock
 
 DEFAULT_RATE_HZ = 60.0
 
@@ -32,6 +33,21 @@ class Source(Protocol):
 
     def frames(self) -> Iterator[Frame]:
         """The frames, each once, in order."""
+        ...
+
+
+@runtime_checkable
+class LiveSource(Source, Protocol):
+    """A source that runs by itself. ``clock`` stamps its frames; ``problem`` says why there are none now, if so;
+    ``missed`` counts those that it knows of but could not give.
+    """
+
+    clock: SessionClock
+    problem: str
+    missed: int
+
+    def close(self) -> None:
+        """End `frames`."""
         ...
 
 

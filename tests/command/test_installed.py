@@ -24,7 +24,9 @@ def test_every_module_is_in_the_extra_that_is_named() -> None:
     for module, (distribution, extra) in MODULES.items():
         assert distribution in distributions(extras[extra]), module
     named = {distribution for distribution, _ in MODULES.values()}
-    wanted = distributions([*PROJECT["dependencies"], *extras["server"], *extras["review"], *extras["metrics"]])
+    wanted = distributions(
+        [*PROJECT["dependencies"], *extras["server"], *extras["review"], *extras["metrics"], *extras["ros"]]
+    )
     assert wanted == named
 
 

@@ -73,7 +73,7 @@ def serve_film(
 if __name__ == "__main__":
     film, rate, rig_file, *options = sys.argv[1:]
 
-    def open_source(name: str, rig: Rig | None, say: Say) -> Camera:
+    def open_source(name: str, rig: Rig | None, say: Say, topic: str | None = None) -> Camera:
         return Camera(name, lambda: LoopedDevice(np.load(film, mmap_mode="r"), float(rate)), rig, say)
 
     serve.open_source = open_source

@@ -17,10 +17,10 @@ from asterism.protocol.led_offset import parse_offset
 from asterism.protocol.rig import parse_rig
 from asterism.server.calibration.survey.survey import read_survey
 from asterism.server.sources.images import UnreadableImage, read_pages, to_grey8
-from tests.protocol import make_golden, mutated_clients
+from tests.protocol import make_golden, mutated_clients, mutated_sources
 from tests.protocol.bounds import TooMuch, bounded
 from tests.protocol.message_mutations import mutated_message
-from tests.protocol.mutations import mutated_yaml
+from tests.protocol.mutations import mutated_bytes, mutated_yaml
 from tests.protocol.picture_mutations import mutated_bmp, mutated_jpeg, mutated_png, mutated_tiff
 from tests.recordings import mutated_recordings
 
@@ -36,7 +36,7 @@ RIG = """\
 camera: camera.yaml
 range: [0.4, 0.9]
 masks: [[0, 0, 20, 30]]
-capture: {rate: 60, exposure_us: 500, size: [640, 512], bits: 12}
+capture: {rate: 60, exposure_us: 500, size: [640, 512], offset: [0, 0], binning: 1, bits: 12}
 world: {position: [0.0, 0.0, 1.3], orientation: [1.0, 0.0, 0.0, 0.0]}
 robots:
   alpha:
@@ -170,6 +170,14 @@ TARGETS = {
     "jpeg": Target(_in_a_file(_image, ".jpg"), _JPEGS, mutated_jpeg, 900, 70),
     "tiff": Target(_in_a_file(_image, ".tiff"), _TIFFS, mutated_tiff, 900, 80),
     "bmp": Target(_in_a_file(_image, ".bmp"), (_encoded(".bmp"),), mutated_bmp, 300, 10),
+    "image_message": Target(mutated_sources.image_message, mutated_sources.image_messages(), mutated_message, 1000, 40),
+    "ros_message": Target(mutated_sources.ros_message, mutated_sources.ros_messages(), mutated_bytes, 500, 20),
+    "calibration": Target(mutated_sources.camera_of, mutated_sources.CALIBRATIONS, mutated_yaml, 300, 10),
+    "film_mcap": Target(
+        mutated_sources.frames_of_mcap, mutated_sources.files("mcap"), mutated_recordings.mutated_file, 150, 10
+    ),
+    "film_db3": Target(mutated_sources.frames_of_db3, mutated_sources.files("db3"), mutated_bytes, 100, 5),
+    "film_bag": Target(mutated_sources.frames_of_bag, mutated_sources.files("bag"), mutated_bytes, 100, 5),
     "review": Target(mutated_recordings.review, _REPORTS, mutated_message, 300, 10),
     "mcap": Target(mutated_recordings.read, mutated_recordings.files(), mutated_recordings.mutated_file, 200, 20),
     "recover": Target(mutated_recordings.recover, mutated_recordings.files(), mutated_recordings.mutated_file, 100, 20),

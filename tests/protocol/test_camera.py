@@ -114,7 +114,11 @@ def test_four_coefficients_of_plumb_bob_mean_k3_is_zero() -> None:
         ("image_width: 1280", "image_width: 12.5", "image_width: 12.5, expected a whole number"),
         ("plumb_bob", "fisheye", "distortion_model: 'fisheye', expected one of plumb_bob, rational_polynomial"),
         ("[1400.0,", "[-1400.0,", "camera_matrix: fx = -1400"),
-        ("[1400.0, 0.0,", "[1400.0, 0.5,", "camera_matrix: expected the form"),
+        ("[1400.0, 0.0,", "[1400.0, 0.5,", "camera_matrix: a skew of 0.5 px, which no lens model here has"),
+        ("0.0, 1401.8", "0.1, 1401.8", "camera_matrix: expected the form"),
+        ("distortion_model", "camera_model", "unknown key 'camera_model'; did you mean 'distortion_model'?"),
+        ("camera_name: cam", "camera_name: 0x1f", "camera_name: 31, expected text"),
+        ("camera_matrix:", "K: [1, 2]\ncamera_matrix:", "Then asterism calibrate camera --from camera.yaml -o"),
         ("cols: 5", "cols: 6", "distortion_coefficients: 6 coefficients, expected 4 or 5 for plumb_bob"),
         ("-0.0003, 0.0]", "-0.0003]", "distortion_coefficients.data: 4 values, expected 5 numbers"),
         ("-0.0003, 0.0]", "-0.0003, .nan]", "distortion_coefficients.data: nan is among the values"),
@@ -153,3 +157,8 @@ def test_an_image_of_another_size_is_refused() -> None:
     with pytest.raises(InputError, match=r"frames/1\.png: the image is 640x480, expected 1280x1024"):
         check_image_size(camera_with("plumb_bob"), 640, 480, "frames/1.png")
     check_image_size(camera_with("plumb_bob"), 1280, 1024, "frames/1.png")
+
+
+@pytest.mark.parametrize("name", ["12345678", "00421337", "12345678  # on its label"])
+def test_a_serial_number_is_a_name_as_it_stands_there(name: str) -> None:
+    assert parse_camera(TEXT.replace("camera_name: cam", f"camera_name: {name}"), "c").name == name.split(maxsplit=1)[0]

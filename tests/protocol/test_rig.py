@@ -234,7 +234,7 @@ def test_other_words_for_a_key_are_understood(folder: Path, old: str, new: str, 
 
 
 CAPTURE_KEYS = ("rate", "exposure_us", "gain", "bits", "size", "line_time_us", "offset", "pixel_format")
-CAPTURE_KEYS += ("trigger", "stamp", "delay_us")
+CAPTURE_KEYS += ("trigger", "stamp", "delay_us", "binning")
 
 
 def test_every_word_stands_for_a_key_that_is_accepted() -> None:

@@ -1,6 +1,7 @@
 """What a camera's calibration is written as: camera_info YAML, and a report of how good it is beside it."""
 
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from asterism.protocol.camera import Camera
 from asterism.protocol.geometry import Floats
 from asterism.server.calibration.lens.bundle import values_of
 from asterism.server.calibration.lens.fit import NAMES, CameraFit
+
+_WORDS = ("true", "false", "null", "yes", "no", "on", "off", "y", "n")  # of YAML, 1.1 too
 
 
 def report_path(camera_path: Path) -> Path:
@@ -24,7 +27,7 @@ def camera_text(camera: Camera) -> str:
     return f"""\
 image_width: {camera.width}
 image_height: {camera.height}
-camera_name: {camera.name}
+camera_name: {_name(camera.name)}
 camera_matrix:
   rows: 3
   cols: 3
@@ -101,6 +104,11 @@ def _lens_lines(camera: Camera, covariance: Floats) -> list[str]:
         f"covariance:  # of {', '.join(names)}",
         *(f"  - {_list(row, 7)}" for row in covariance),
     ]
+
+
+def _name(name: str) -> str:
+    """In quotes where YAML would not read the same text: numbers, words with signs in them."""
+    return name if re.fullmatch(r"[A-Za-z][\w.-]*", name, re.ASCII) and name.lower() not in _WORDS else _quoted(name)
 
 
 def _list(values: Sequence[float] | Floats, digits: int = 12) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from asterism.protocol.camera import Camera
+from asterism.protocol.camera import Camera, load_camera
 from asterism.protocol.geometry import Floats
 from asterism.protocol.yaml_file import Section, read_yaml
 from asterism.server.calibration.lens.bundle import camera_of, pixels_by_lens, values_of
@@ -33,7 +33,8 @@ class LensError:
 
 
 def read_lens_error(camera_path: Path, camera: Camera) -> LensError | None:
-    """What the report beside a camera's file tells; None where there is none.
+    """What the report beside a camera's file tells; None where there is none. ``camera`` may be a part of what the file
+    calibrates: the error is that of the part.
 
     Raises InputError where the report is of another lens.
     """
@@ -42,13 +43,21 @@ def read_lens_error(camera_path: Path, camera: Camera) -> LensError | None:
         return None
     report = read_yaml(path)
     names = ("fx", "fy", "cx", "cy", *NAMES[camera.model])
-    _check_same_lens(report, camera, camera_path, names)
+    whole = camera
+    if camera_path.exists():
+        told = load_camera(camera_path)
+        if (told.width, told.height) != (camera.width, camera.height):
+            whole = told
+    _check_same_lens(report, whole, camera_path, names)
+    shares = np.diag(camera.matrix)[:2] / np.diag(whole.matrix)[:2]
+    by_part = np.concatenate([shares, shares, np.ones(len(names) - 4)])
     by = report.text("made_by") if "made_by" in report else "calibrate camera"
     if "covariance" in report:
         rows = report.rows("covariance", len(names), ", ".join(names))
-        return LensError(np.array(rows).reshape(len(names), len(names)), by)
+        return LensError(np.array(rows).reshape(len(names), len(names)) * np.outer(by_part, by_part), by)
     sigmas = report.section("sigmas")
-    return LensError(np.diag([sigmas.number(name, least=0.0) ** 2 for name in names]), by, correlated=False)
+    variances = np.array([sigmas.number(name, least=0.0) ** 2 for name in names])
+    return LensError(np.diag(variances * by_part**2), by, correlated=False)
 
 
 def _check_same_lens(report: Section, camera: Camera, camera_path: Path, names: tuple[str, ...]) -> None:
