@@ -6,7 +6,7 @@ hold so many that Aravis would soon have no memory for the next frame, the image
 
 import threading
 import time
-from ctypes import POINTER, byref, c_char_p, c_int, c_size_t, c_uint32, c_uint64, c_void_p
+from ctypes import POINTER, byref, c_char_p, c_int, c_size_t, c_uint16, c_uint32, c_uint64, c_void_p
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,9 +61,11 @@ class ArvStream:
         self._lock = threading.Lock()
         self._pointer: int | None = create(camera.pointer, None, None)
         self._read_pointer = self._pointer
+        self.port = 0  # of a GigE Vision camera's frames
         if camera.is_gige():
             set_property(self._pointer, "socket-buffer", c_int, _FIXED)
             set_property(self._pointer, "socket-buffer-size", c_int, max(_SOCKET_BUFFER, payload))
+            self.port = int(function("arv_gv_stream_get_port", c_uint16, c_void_p)(self._pointer))
         self._clocks = (time.monotonic_ns(), time.time_ns())  # monotonic and wall clock at the frame before
         self._pop = function("arv_stream_timeout_pop_buffer", c_void_p, c_void_p, c_uint64)
         self._push = function("arv_stream_push_buffer", None, c_void_p, c_void_p)

@@ -16,7 +16,7 @@ from asterism.server.sources.camera_stamps import Stamps
 from asterism.server.sources.frame_ids import missed_between
 from asterism.server.sources.genicam_listing import PREFIX, Place, find, find_again
 from asterism.server.sources.genicam_settings import Applied, apply_settings
-from asterism.server.sources.gvcp import is_controlled, taken_by, who_is
+from asterism.server.sources.gvcp import sends_to, taken_by, who_is
 from asterism.server.sources.lost_frames import LostFrames
 from asterism.server.sources.pixel_formats import BY_NUMBER, unpacked
 from asterism.server.sources.source import Say
@@ -25,6 +25,7 @@ POP_S = 0.1
 RETRY_S = 0.2  # while it is away
 SILENT_S = 0.3  # without a frame, after which it is asked whether it is there
 STUCK_S = 3.0  # a camera that runs by itself, is there, and delivers nothing for so long is opened anew
+HELD_S = 3.5  # a camera is its program's after the last sign of life (GigE Vision's heartbeat: 3 s)
 _LOOK_EVERY = 4  # times that it is not where it was, the whole network is asked
 _PARTS = {"start": 0.5, "middle": 0.0, "end": -0.5}  # of the exposure, from the stamp to its middle
 
@@ -49,19 +50,26 @@ class GenicamCamera:
         none, or for settings that it refuses.
         """
         if self._place is None:
-            self._place = place = find(self._text)
+            place = find(self._text)
         else:
             self._away += 1
             found = find_again(self._place, self._away % _LOOK_EVERY == 0)
             if found is None:
                 return None
-            self._place = place = found
-        if place.address and (owner := taken_by(place.address)) is not None:
+            place = found
+        if place.address and (owner := self._owner(place.address)) is not None:
             raise WorldError(f"{self.name}: the camera is in use by {owner}; it serves one at a time")
         try:
             return self._opened(place)
         except AravisError as problem:
             raise WorldError(f"{self.name}: the camera does not open ({problem})") from None
+
+    def _owner(self, address: str) -> str | None:
+        """Which program has it. At the first start a little is waited for one that ended without a word."""
+        until_s = time.monotonic() + (HELD_S if self._place is None else 0.0)
+        while (owner := taken_by(address)) is not None and time.monotonic() < until_s:
+            time.sleep(POP_S)
+        return owner
 
     def _opened(self, place: Place) -> "GenicamDevice":
         camera = ArvCamera(place.id, place.address)
@@ -73,7 +81,7 @@ class GenicamCamera:
         except BaseException:
             in_background(camera.close)
             raise
-        self._away = 0
+        self._place, self._away = place, 0
         return device
 
 
@@ -140,7 +148,7 @@ class GenicamDevice:
         """Asks without Aravis, which would wait for seconds."""
         address = self._camera.address
         if address:
-            return who_is(address) is not None and is_controlled(address) is not False and self._camera.is_ours()
+            return who_is(address) is not None and sends_to(address, self._stream.port) and self._camera.is_ours()
         try:
             self._camera.register(0)
         except AravisError:

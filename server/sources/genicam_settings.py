@@ -59,22 +59,31 @@ def _applied(camera: ArvCamera, trigger: str | None) -> Applied:
 
 
 def _region(camera: ArvCamera, capture: Capture, size: tuple[int, int] | None) -> list[str]:
+    x, y, *before = camera.region()
     refused = []
-    if size is not None:
-        _, _, *before = camera.region()
-        if camera.can_offset():
-            camera.set_region(0, 0, *before)  # else the offset limits the size
+    if size is not None and list(size) != before:
         key = "capture.size" if capture.size is not None else "the calibration's size"
-        for side, asked in zip(("width", "height"), size, strict=True):
-            if told := _misfit(camera.steps(side), asked):
-                refused.append(f"{key} {list(size)}: the camera's {side} is {told} px")
-        if not refused:
-            camera.set_region(-1, -1, *size)
-            if (got := camera.region()[2:]) != size:
-                refused.append(f"{key} {list(size)}: the camera made {got[0]}x{got[1]} of it")
-    if capture.offset is not None and not refused:
-        refused += _offset(camera, capture.offset)
-    return refused
+        refused = _size(camera, size, f"{key} {list(size)}: the camera")
+    if refused:
+        return refused
+    if capture.offset is not None:
+        return _offset(camera, capture.offset)
+    # A calibration of the camera's own region is of its own offset.
+    if camera.can_offset() and not _misfit(camera.steps("x_offset"), x) and not _misfit(camera.steps("y_offset"), y):
+        camera.set_region(x, y, *camera.region()[2:])
+    return []
+
+
+def _size(camera: ArvCamera, size: tuple[int, int], what: str) -> list[str]:
+    if camera.can_offset():
+        camera.set_region(0, 0, *camera.region()[2:])  # else the offset limits the size
+    sides = zip(("width", "height"), size, strict=True)
+    refused = [f"{what}'s {side} is {told} px" for side, asked in sides if (told := _misfit(camera.steps(side), asked))]
+    if refused:
+        return refused
+    camera.set_region(-1, -1, *size)
+    got = camera.region()[2:]
+    return [] if got == size else [f"{what} made {got[0]}x{got[1]} of it"]
 
 
 def _offset(camera: ArvCamera, asked: tuple[int, int]) -> list[str]:

@@ -12,6 +12,7 @@ PORT = 3956
 _KEY, _ANSWER = 0x42, 0x01  # of a command; the flag that asks for an answer
 _DISCOVER, _READ = 0x0002, 0x0080
 _CONTROL, _OWNER = 0x0A00, 0x0A14  # registers: who may write, and the address of whoever does
+_STREAM_PORT = 0x0D00  # to which frames are sent
 _MODEL, _SERIAL = slice(0x68, 0x88), slice(0xD8, 0xE8)
 TIMEOUTS_S = (0.1, 0.2, 0.25)  # of one try after the other; cameras answer within 5 ms
 
@@ -32,15 +33,17 @@ def who_is(address: str) -> Answer | None:
     return Answer(model, serial)
 
 
-def is_controlled(address: str) -> bool | None:
-    """Whether a program controls the camera at an IP address; None where it does not tell."""
-    control = _register(address, _CONTROL)
-    return None if control is None else control != 0
+def sends_to(address: str, port: int) -> bool:
+    """Whether the camera at an IP address is controlled and sends its frames to this port; also where it does not
+    tell.
+    """
+    control, told = _register(address, _CONTROL), _register(address, _STREAM_PORT)
+    return control != 0 and (told is None or told & 0xFFFF == port)
 
 
 def taken_by(address: str) -> str | None:
     """Which program controls the camera at an IP address, in words; None where none does, or it does not tell."""
-    if not is_controlled(address):
+    if not _register(address, _CONTROL):
         return None
     owner = _register(address, _OWNER)
     return f"a program on {socket.inet_ntoa(struct.pack('>I', owner))}" if owner else "another program"

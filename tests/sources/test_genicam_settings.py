@@ -125,6 +125,14 @@ def test_all_of_it_is_set_and_what_was_automatic_is_not_any_more() -> None:
     assert said == []
 
 
+def test_the_cameras_own_offset_stays_where_it_can() -> None:
+    camera = StandIn()
+    apply(camera, (1280, 1024))
+    assert camera.at == (160, 96, 1280, 1024)
+    apply(camera, SENSOR)
+    assert camera.at == (0, 0, *SENSOR)
+
+
 def test_what_nobody_asked_for_stays_but_for_colour() -> None:
     """The chain reads grey."""
     camera = StandIn()
