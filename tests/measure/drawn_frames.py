@@ -8,6 +8,7 @@ seconds; LEDs that are hidden for seconds, all of a robot gone for minutes. Robo
 leave and come back.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from asterism.protocol.rig import Rig
 from asterism.server.centres.blobs import Blobs
 from asterism.server.chain.answers import answers_of
 from asterism.server.chain.frame import FrameResult
+from asterism.server.chain.world import Following, carried_over, place_before, place_now
 from asterism.server.identity.identify import Matches
 from asterism.server.identity.plan import Plan
 from asterism.server.identity.rays import rays_of
@@ -72,26 +74,42 @@ def stage_rig(robots: int, fixed: int, seed: int, fixed_height: float = 0.0) -> 
     return replace(rig, robots=tuple(placed))
 
 
+# The camera's turn, rad, and shift, m, about its own axes at a time, s.
+Motion = Callable[[float], tuple[Floats, Floats]]
+
+
+def _swings(time_s: float) -> tuple[Floats, Floats]:
+    """With the temperature."""
+    swing = np.sin(2 * np.pi * time_s / SWING_S)
+    return np.radians(SWING_DEG) * swing * np.array([1.0, 0.5, 0.0]), 3e-5 * swing * np.ones(3)
+
+
 class Stage:
     """A true rig, the told one with its errors, and what its robots do."""
 
-    def __init__(self, rig: Rig, seed: int, fault: Fault | None = None, always: str = "") -> None:
-        """``always``: all robots drive, or stand; else they do now this, now that."""
+    def __init__(
+        self, rig: Rig, seed: int, fault: Fault | None = None, always: str = "", motion: Motion | None = None,
+        wrong: bool = True,
+    ) -> None:  # fmt: skip
+        """``always``: all robots drive, or stand; else they do now this, now that. ``motion``: how the camera moves.
+        Not ``wrong``: the rig is true, and centres have white noise, as large as they tell, and no other.
+        """
+        self.motion, self.wrong = motion or _swings, float(wrong)
         self.fault = fault or Fault()
         self.rng = rng = np.random.default_rng([seed, 32])
         self.true = rig
         told = []
         for robot in rig.robots:
-            leds = robot.leds + LED_M * rng.normal(size=(6, 3)) * [1, 1, 0]
+            leds = robot.leds + self.wrong * LED_M * rng.normal(size=(6, 3)) * [1, 1, 0]
             place = robot.T_world_fixed
             if place is not None:
-                place = Pose(place.position + SURVEY_M * rng.normal(size=3), place.orientation)
+                place = Pose(place.position + self.wrong * SURVEY_M * rng.normal(size=3), place.orientation)
             told.append(replace(robot, leds=leds, T_world_fixed=place))
         self.told = replace(rig, robots=tuple(told))
         self.plan = Plan(self.told)
         n = len(rig.robots)
         self.always = always
-        self.tracks = Tracks.none(n)
+        self.tracks: Tracks = Tracks.none(n)
         self.places = np.column_stack([rng.uniform(-0.3, 0.3, n), rng.uniform(-0.2, 0.2, n)])
         self.headings, self.tilts = rng.uniform(-3, 3, n), rng.normal(scale=0.15, size=(n, 2))
         self.modes = [always or "drive"] * n
@@ -114,8 +132,7 @@ class Stage:
     def T_world_camera(self, time_s: float) -> Pose:
         """Where the camera truly is."""
         assert self.true.T_world_camera is not None
-        swing = np.sin(2 * np.pi * time_s / SWING_S)
-        turn, shift = np.radians(SWING_DEG) * swing * np.array([1.0, 0.5, 0.0]), 3e-5 * swing * np.ones(3)
+        turn, shift = self.motion(time_s)
         if time_s >= self.fault.at_s:
             turn, shift = turn + self.fault.turn, shift + self.fault.shift
         return self.true.T_world_camera @ Pose.from_matrix(exp_rotation(turn), shift)
@@ -155,7 +172,7 @@ class Stage:
         rng, fault, camera = self.rng, self.fault, self.true.camera
         T_camera_world = self.T_world_camera(time_s).inverse()
         wrong = time_s >= fault.at_s
-        focal = 1.0 + SWING_F * np.sin(2 * np.pi * time_s / SWING_S) + (fault.focal if wrong else 0.0)
+        focal = 1.0 + self.wrong * SWING_F * np.sin(2 * np.pi * time_s / SWING_S) + (fault.focal if wrong else 0.0)
         matrix = camera.matrix * np.array([[focal, 1, 1], [1, focal, 1], [1, 1, 1]])
         camera = replace(camera, matrix=matrix)
         spots, whose = [], []
@@ -168,13 +185,13 @@ class Stage:
             pose = T_camera_world @ self.pose(k, time_s)
             pixels = camera.project(pose.map(leds))
             facing = pose.rotation[:2, 2]
-            pixels += self._errors(pixels, k, facing)
+            pixels += self.wrong * self._errors(pixels, k, facing)
             for led in range(6):
                 until, by = self.glints.get((k, led), (0.0, np.zeros(2)))
-                pixels[led] += by if until > time_s else 0.0
+                pixels[led] += self.wrong * by if until > time_s else 0.0
                 dark = wrong and fault.dark and fault.led == (k, led)
                 if self.hidden.get((k, led), 0.0) < time_s and not dark:
-                    spots.append(pixels[led] + WHITE_PX * rng.normal(size=2))
+                    spots.append(pixels[led] + (WHITE_PX if self.wrong else TOLD_PX) * rng.normal(size=2))
                     whose.append((k, led))
         return np.array(spots).reshape(-1, 2), np.array(whose).reshape(-1, 2)
 
@@ -217,7 +234,16 @@ class Stage:
         solutions, choices = Solutions.room(len(robots), learned[found.robots]), Choices.room(len(robots))
         measured = Measured(seen.rays, seen.covariances, blobs.centres_px)
         solve_robots(plan.lens, plan.constellations, found, measured, solutions)
+        place = None
+        if self.told.follows_world:
+            before = place_before(self.tracks, self.told, exposed_ns)
+            plan = plan.at(before.T_world_camera)
+            place = place_now(before, plan, blobs, seen, found, solutions)
+        self.tracks = self.tracks.copy_for(len(self.told.robots))
         choose(found, exposed_ns, solutions, seen.heights, plan.mounts, self.tracks, choices)
+        if place is not None:
+            carried_over(choices, before.T_world_camera, place)
+            plan, self.tracks = plan.at(place.T_world_camera), Following.of(self.tracks, place)
         answers = answers_of(plan, blobs, seen, Matches(found, len(robots), {}, {}), solutions, choices)
         self.frames += 1
-        return FrameResult(self.frames, exposed_ns, blobs, answers, learned)
+        return FrameResult(self.frames, exposed_ns, blobs, answers, learned, place)
