@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from asterism.protocol.geometry import Floats, Pose
+from asterism.protocol.geometry import Floats
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig
 from asterism.server.calibration.lens.bundle import pixels_by_lens
@@ -57,6 +57,7 @@ class CameraWatch:
         self._sigma_px = LEAST_PX
         self._recent: deque[tuple[int, Floats]] = deque(maxlen=4 * BASELINE)
         self._causes = _causes_of(rig) if self.robots else []
+        self._follows = rig.follows_world
 
     def add(self, time_ns: int, spots: Floats) -> None:
         """One more second: ``spots`` (constellations, 6, 2) px, in the rig's order, nan where not seen."""
@@ -71,17 +72,13 @@ class CameraWatch:
                 self._sigma_px = min(max(self._sigma_px, 2.0 * spread), MOST_PX)
 
     def renumbered(self, new: "CameraWatch") -> "CameraWatch":
-        """The same, of constellations that have other numbers in the rig: those of ``new``."""
+        """The same watch where the constellations have other numbers in the rig, those of ``new``; ``new`` itself where
+        they are in another order.
+        """
+        if self._names != new._names:
+            return new
         self.robots = new.robots
         return self
-
-    def places(self, rig: Rig) -> list[tuple[str, bytes, bytes, bytes]]:
-        """What the watch rests on: who they are, and where."""
-        told = []
-        for robot in (rig.robots[k] for k in self.robots):
-            place = robot.T_world_fixed or Pose.identity()
-            told.append((robot.id, robot.leds.tobytes(), place.position.tobytes(), place.orientation.tobytes()))
-        return told
 
     def finding(self) -> Finding | None:
         """What has changed since the first minute, if anything has."""
@@ -96,6 +93,9 @@ class CameraWatch:
         before = float((moved**2).sum()) / self._sigma_px**2
         if before - left < SURE:
             return None
+        if self._follows and cause.what == "camera":
+            self._begin_anew()
+            return None
         explained = cause.by[seen] @ numbers
         size_px = float(np.sqrt((explained**2).sum() / np.any(cause.by[seen] != 0.0, axis=(1, 2)).sum()))
         text = self._text(cause.what, numbers, size_px)
@@ -105,6 +105,12 @@ class CameraWatch:
         if cause.what.startswith("lens"):
             remedy = f"run {typed('calibrate', 'camera', 'SOURCE', '-o', 'camera.yaml')}"
         return Finding(cause.what, text, remedy, self._since(explained, seen))
+
+    def _begin_anew(self) -> None:
+        """The camera is elsewhere, and is followed: what is usual is found anew."""
+        self._usual[:] = np.nan
+        self._early = [[] for _ in self._early]
+        self._recent.clear()
 
     def _likeliest(self, moved: Floats, seen: Floats) -> tuple[Cause, Floats, float]:
         """The cause that leaves least, its numbers, and what it leaves, chi squared."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from asterism.protocol.led_offset import LedOffset
 from asterism.protocol.rig import NormalPrior, Rig, Robot
 from asterism.server.chain.smooth import Motions
+from asterism.server.chain.world import Following
 from asterism.server.pose.courses import Courses
 from asterism.server.pose.track import Tracks
 
@@ -30,6 +31,8 @@ def carried(tracks: Tracks, before: Rig, after: Rig) -> Tracks:
         if rolling:
             for source, target in zip(courses, out.courses, strict=True):
                 target[new] = source[old]
+    if isinstance(tracks, Following) and after.follows_world and same_references(before, after):
+        return Following.of(out, tracks.place)
     return out
 
 
@@ -53,6 +56,20 @@ def same_world(before: Rig, after: Rig) -> bool:
     if a is None or b is None:
         return a is b
     return np.array_equal(a.position, b.position) and np.array_equal(a.orientation, b.orientation)
+
+
+def same_references(before: Rig, after: Rig) -> bool:
+    """Whether the camera and all constellations that stand still are where they were, before the same camera."""
+    return same_camera(before, after) and same_world(before, after) and _standing(before) == _standing(after)
+
+
+def _standing(rig: Rig) -> dict[str, tuple[bytes, ...]]:
+    """The rig's constellations that stand still, as values to be compared."""
+    return {
+        robot.id: (robot.leds.tobytes(), place.position.tobytes(), place.orientation.tobytes())
+        for robot in rig.robots
+        if (place := robot.T_world_fixed) is not None
+    }
 
 
 def same_robots(before: Rig, after: Rig) -> list[tuple[int, int]]:

@@ -16,9 +16,10 @@ from asterism.server.chain.frame import FrameResult
 from asterism.server.pose.fit import LEDS
 from asterism.server.service.alarm import Alarm
 from asterism.server.service.camera_watch import CameraWatch
-from asterism.server.service.carry import same_camera, same_robots, same_world
+from asterism.server.service.carry import same_camera, same_references, same_robots
 from asterism.server.service.dark_watch import DarkWatch
 from asterism.server.service.led_watch import SAME_PLACE_PX, LedWatch
+from asterism.server.service.place_watch import PlaceWatch
 from asterism.server.service.sightings import Moves, moves_of, sightings_of
 
 EVERY_NS = 95_000_000
@@ -75,6 +76,7 @@ class Drift:
         self._robots = [_RobotWatch(robot) for robot in rig.robots]
         self._camera = CameraWatch(rig)
         self._camera_alarm = Alarm()
+        self._place = PlaceWatch()
 
     def with_rig(self, rig: Rig) -> "Drift":
         """From now on another rig is in force: what was seen of robots goes on where they are the same before the same
@@ -84,12 +86,14 @@ class Drift:
         if same_camera(before, rig):
             for old, new in same_robots(before, rig):
                 out._robots[new] = self._robots[old]
-            if same_world(before, rig) and self._camera.places(before) == out._camera.places(rig):
+            if same_references(before, rig) and before.follows_world == rig.follows_world:
                 out._camera, out._camera_alarm = self._camera.renumbered(out._camera), self._camera_alarm
         return out
 
     def add(self, result: FrameResult) -> None:
         """Count one frame in."""
+        if result.place is not None:
+            self._place.add(result)
         if not 0 <= result.exposed_ns - self._last_ns < EVERY_NS:
             self._last_ns = result.exposed_ns
             self._kept.append(result)
@@ -98,6 +102,7 @@ class Drift:
         """Look at the second that has gone by; says what begins to be wrong, and what no longer is. ``pause`` is called
         between robots, so that who waits for this thread waits for one.
         """
+        self._place.look(self._say)
         results = [self._kept.popleft() for _ in range(len(self._kept))]
         if not results:
             return
@@ -121,4 +126,4 @@ class Drift:
     def problem(self) -> str:
         """What is wrong now, by how much and since when; empty where nothing is."""
         alarms = [self._camera_alarm, *(alarm for watch in self._robots for alarm in watch.alarms)]
-        return "; ".join(filter(None, (alarm.problem for alarm in alarms)))
+        return "; ".join(filter(None, (self._place.problem, *(alarm.problem for alarm in alarms))))

@@ -47,7 +47,9 @@ class Moves(NamedTuple):
 
 
 def sightings_of(rig: Rig, results: Sequence[FrameResult], T_camera_parent: Pose) -> Sightings:
-    """The robots located in frames, those of one frame after those of another."""
+    """The robots located in frames, those of one frame after those of another; ``T_camera_parent`` where the camera is
+    not followed.
+    """
     numbers = {robot.id: k for k, robot in enumerate(rig.robots)}
     seen = [
         (numbers[name], result, answer)
@@ -57,12 +59,14 @@ def sightings_of(rig: Rig, results: Sequence[FrameResult], T_camera_parent: Pose
     ]
     n = len(seen)
     turns = Rotation.from_quat(np.array([answer.orientation for _, _, answer in seen]).reshape(n, 4)).as_matrix()
-    positions = np.array([answer.position for _, _, answer in seen]).reshape(n, 3) @ T_camera_parent.rotation.T
+    views = [_view(result, T_camera_parent) for _, result, _ in seen]
+    rotations = np.array([view.rotation for view in views]).reshape(n, 3, 3)
+    positions = np.array([answer.position for _, _, answer in seen]).reshape(n, 3, 1)
     nothing = np.full((2, n, LEDS, 2), np.nan)
     shown = Sightings(
         np.array([robot for robot, _, _ in seen], np.int64),
-        T_camera_parent.rotation @ turns,
-        positions + T_camera_parent.position,
+        rotations @ turns,
+        (rotations @ positions)[..., 0] + np.array([view.position for view in views]).reshape(n, 3),
         nothing[0],
         nothing[1],
     )
@@ -73,6 +77,10 @@ def sightings_of(rig: Rig, results: Sequence[FrameResult], T_camera_parent: Pose
         if len(leds) < LEDS:
             _take_left_out(rig, result, k, shown)
     return shown
+
+
+def _view(result: FrameResult, T_camera_parent: Pose) -> Pose:
+    return T_camera_parent if result.place is None else result.place.T_world_camera.inverse()
 
 
 def _take_left_out(rig: Rig, result: FrameResult, k: int, shown: Sightings) -> None:
