@@ -38,7 +38,7 @@ KICK = 60.0  # and of one that does not
 WANDER_M, WANDER_RAD = 1e-5, math.radians(1e-3)  # one sigma, in a second, of a mount that nobody sees
 UNSEEN_M, UNSEEN_RAD = 5e-3, math.radians(0.5)  # of the rig's own place, before the first sight
 TILT_ODDS = 25.0  # chi squared up to which the tilt near the place before is believed
-ALONE_STEPS = 3  # of the fit, from a place that was right a frame ago
+ALONE_STEPS = 1  # of the fit, from a place that was right a frame ago
 
 
 class Following(Tracks):
@@ -68,19 +68,22 @@ def place_before(tracks: Tracks, rig: Rig, exposed_ns: int) -> Place:
 
 def place_now(before: Place, plan: Plan, blobs: Blobs, seen: Rays, found: Matched, solutions: Solutions) -> Place:
     """The place with what this frame shows of the constellations that stand still."""
-    pinned, starts = _pinned(plan, blobs, seen, found, solutions)
+    pinned = _pinned(plan, blobs, seen, found, solutions)
     if pinned is None:
         return before
     if not before.seen_ns:
-        fit = _best(pinned, [before.T_world_camera, *starts])
-        return _told(fit.T_world_camera, fit.noise, _with_survey(fit) + SHAKES * fit.noise, before.at_ns, None)
+        fit = _best(pinned, [before.T_world_camera, *_starts(plan, found, solutions)])
+        stays = _with_survey(fit) + SHAKES * fit.noise
+        return _told(fit.T_world_camera, fit.noise, stays, before.at_ns, None) if np.isfinite(fit.chi2) else before
     fit = fit_place(pinned, before.T_world_camera, ALONE_STEPS)
     known = before.noise / (1.0 - FORGET)
     move = apart(before.T_world_camera, fit.T_world_camera)
     chi2 = _squared(move, known + fit.noise)
     kick = None
-    if chi2 > KICK:
-        fit = _best(pinned, [before.T_world_camera, fit.T_world_camera, *starts])
+    if not chi2 < KICK:
+        fit = _best(pinned, [before.T_world_camera, *_starts(plan, found, solutions)])
+        if not np.isfinite(fit.chi2):
+            return before
         move = apart(before.T_world_camera, fit.T_world_camera)
         known, kick = known + np.outer(move, move) + 1e2 * fit.noise, move
     elif chi2 > EXPECTED:
@@ -105,7 +108,7 @@ def _with_survey(fit: PlaceFit) -> Floats:
 def _best(pinned: Pinned, starts: list[Pose]) -> PlaceFit:
     """The best of the fits from several places; the first, unless another is clearly better: tilts are alike."""
     fits = [fit_place(pinned, start) for start in starts]
-    best = min(fits, key=lambda fit: fit.chi2)
+    best = min(fits, key=lambda fit: fit.chi2 if np.isfinite(fit.chi2) else np.inf)
     return fits[0] if fits[0].chi2 < best.chi2 + TILT_ODDS else best
 
 
@@ -123,41 +126,47 @@ def _standing(rig: Rig) -> dict[int, tuple[Floats, Pose]]:
     }
 
 
-def _pinned(
-    plan: Plan, blobs: Blobs, seen: Rays, found: Matched, solutions: Solutions
-) -> tuple[Pinned | None, list[Pose]]:
-    """The LEDs that stand still in this frame, and the places of the camera that single constellations tell."""
+def _rows(plan: Plan, found: Matched, solutions: Solutions) -> list[tuple[int, int]]:
+    """Rows of the matched robots that stand still and have a pose, with their numbers in the rig."""
     standing = _standing(plan.rig)
-    parts, starts = [], []
-    for row, robot in enumerate(found.robots.tolist()):
+    robots, costs = found.robots.tolist(), solutions.costs.min(axis=1).tolist()
+    return [(row, robot) for row, robot in enumerate(robots) if robot in standing and costs[row] < NO_SOLUTION]
+
+
+def _pinned(plan: Plan, blobs: Blobs, seen: Rays, found: Matched, solutions: Solutions) -> Pinned | None:
+    """The LEDs that stand still in this frame."""
+    standing, parts = _standing(plan.rig), []
+    for row, robot in _rows(plan, found, solutions):
         which = int(solutions.costs[row].argmin())
-        if robot not in standing or solutions.costs[row, which] >= NO_SOLUTION:
-            continue
-        points, T_world_plane = standing[robot]
         leds = np.flatnonzero(found.assignment[row] >= 0)
         spots = found.assignment[row, leds]
-        poses = [
-            Pose.from_matrix(rotation, t)
-            for rotation, t, cost in zip(solutions.rotations[row], solutions.ts[row], solutions.costs[row], strict=True)
-            if cost < NO_SOLUTION
-        ]
-        starts += [T_world_plane @ pose.inverse() for pose in poses]
-        pose = Pose.from_matrix(solutions.rotations[row, which], solutions.ts[row, which])
+        rotation, t = solutions.rotations[row, which], solutions.ts[row, which]
         predicted_px = blobs.centres_px[seen.rows[spots]] - solutions.residuals[row, which, leds]
-        shift = _shift(plan, predicted_px, pose, plan.layouts[robot][leds])
-        misfit = max(float(solutions.learned[row]), float(solutions.misfits[row, MISFIT])) / pose.position[2]
+        shift = _shift(plan, predicted_px, plan.layouts[robot][leds] @ rotation.T + t)
+        misfit = max(float(solutions.learned[row]), float(solutions.misfits[row, MISFIT])) / t[2]
         own = seen.covariances[spots][:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-        parts.append((points[leds], seen.rays[spots] - shift, (1.0 - STAYS) * own, STAYS * own + misfit**2 * np.eye(2)))
-    if not parts:
-        return None, []
-    return Pinned(*(np.concatenate(column) for column in zip(*parts, strict=True))), starts
+        stay = STAYS * own + misfit**2 * np.eye(2)
+        parts.append((standing[robot][0][leds], seen.rays[spots] - shift, (1.0 - STAYS) * own, stay))
+    return Pinned(*map(np.concatenate, zip(*parts, strict=True))) if parts else None
 
 
-def _shift(plan: Plan, predicted_px: Floats, pose: Pose, layout: Floats) -> Floats:
-    """What shifts spots of LEDs from where a pose has them (n, 2), rays: the solver's predictions hold it."""
+def _starts(plan: Plan, found: Matched, solutions: Solutions) -> list[Pose]:
+    """The places of the camera that single constellations tell, by both their tilts."""
+    standing = _standing(plan.rig)
+    return [
+        standing[robot][1] @ Pose.from_matrix(solutions.rotations[row, which], solutions.ts[row, which]).inverse()
+        for row, robot in _rows(plan, found, solutions)
+        for which in range(2)
+        if solutions.costs[row, which] < NO_SOLUTION
+    ]
+
+
+def _shift(plan: Plan, predicted_px: Floats, points: Floats) -> Floats:
+    """What shifts the spots of LEDs at points (n, 3) m of the camera's frame (n, 2), rays: the solver's predictions
+    hold it.
+    """
     rays, spreads = np.empty_like(predicted_px), np.zeros((len(predicted_px), 3))
     undistort(plan.lens, np.ascontiguousarray(predicted_px), spreads.copy(), rays, spreads)
-    points = pose.map(layout)
     shift: Floats = rays - points[:, :2] / points[:, 2:]
     return shift
 

@@ -73,8 +73,19 @@ def linearized(pinned: Pinned, T_world_camera: Pose) -> tuple[Floats, Floats]:
     by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0 / z
     by_point[:, 0, 2], by_point[:, 1, 2] = -x / z**2, -y / z**2
     by_place = by_point @ turn.T  # by the point in the world, as seen along the camera's axes
-    by_turn = np.cross(arms[:, None], by_place)
-    return np.concatenate([-by_place, -by_turn], axis=-1), pinned.rays - np.stack([x / z, y / z], axis=-1)
+    return -np.concatenate([by_place, by_place @ turning(arms)], axis=-1), pinned.rays - np.stack(
+        [x / z, y / z], axis=-1
+    )
+
+
+def turning(arms: Floats) -> Floats:
+    """Derivatives (..., 3, 3) of points by a rotation vector about where ``arms`` (..., 3) begin."""
+    by_turn = np.zeros((*arms.shape, 3))
+    x, y, z = np.moveaxis(arms, -1, 0)
+    by_turn[..., 0, 1], by_turn[..., 0, 2] = z, -y
+    by_turn[..., 1, 0], by_turn[..., 1, 2] = -z, x
+    by_turn[..., 2, 0], by_turn[..., 2, 1] = y, -x
+    return by_turn
 
 
 def _solved(normal: Floats, right: Floats) -> Floats:

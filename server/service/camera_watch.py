@@ -21,8 +21,8 @@ from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig
 from asterism.server.calibration.lens.bundle import pixels_by_lens
 from asterism.server.pose.fit import LEDS
+from asterism.server.pose.place import turning
 from asterism.server.service.alarm import Finding, step_of
-from asterism.server.service.sightings import turning
 
 BASELINE = 60  # seconds in which an LED was seen tell where it is
 RECENT = 9  # seconds are judged, by their median

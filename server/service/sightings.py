@@ -19,6 +19,7 @@ from asterism.protocol.messages import Fate
 from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import FrameResult
 from asterism.server.pose.fit import LEDS
+from asterism.server.pose.place import turning
 from asterism.server.pose.solve import PoseEstimate
 
 NEAR_M = 3e-3  # of where an LED should be: a spot there that was left out is that LED's
@@ -130,13 +131,3 @@ def projection_by_point(points: Floats, focal_px: float) -> Floats:
     by_point[..., 0, 0] = by_point[..., 1, 1] = focal_px / z
     by_point[..., 0, 2], by_point[..., 1, 2] = -focal_px * x / z**2, -focal_px * y / z**2
     return by_point
-
-
-def turning(arms: Floats) -> Floats:
-    """Derivatives (..., 3, 3) of points by a rotation vector about where ``arms`` (..., 3) begin."""
-    by_turn = np.zeros((*arms.shape, 3))
-    x, y, z = np.moveaxis(arms, -1, 0)
-    by_turn[..., 0, 1], by_turn[..., 0, 2] = z, -y
-    by_turn[..., 1, 0], by_turn[..., 1, 2] = -z, x
-    by_turn[..., 2, 0], by_turn[..., 2, 1] = y, -x
-    return by_turn
