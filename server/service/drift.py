@@ -19,6 +19,7 @@ from asterism.server.service.camera_watch import CameraWatch
 from asterism.server.service.carry import same_camera, same_references, same_robots
 from asterism.server.service.dark_watch import DarkWatch
 from asterism.server.service.led_watch import SAME_PLACE_PX, LedWatch
+from asterism.server.service.off_watch import OffWatch
 from asterism.server.service.place_watch import PlaceWatch
 from asterism.server.service.sightings import Moves, moves_of, sightings_of
 
@@ -76,6 +77,7 @@ class Drift:
         self._robots = [_RobotWatch(robot) for robot in rig.robots]
         self._camera = CameraWatch(rig)
         self._camera_alarm = Alarm()
+        self._off, self._off_alarm = OffWatch(rig), Alarm()
         self._place = PlaceWatch()
 
     def with_rig(self, rig: Rig) -> "Drift":
@@ -117,13 +119,20 @@ class Drift:
             watch.look(self._say)
             if number in self._camera.robots:
                 fixed[self._camera.robots.index(number)] = spots
+                self._off.add(time_ns, number, shown.positions[mine].mean(axis=0))
         if np.isfinite(fixed).any():
             pause()
             self._camera.add(time_ns, fixed)
-            self._camera_alarm.look(self._camera.finding(), self._say)
+            self._look_at_camera()
+
+    def _look_at_camera(self) -> None:
+        """Where a change was seen, that is what is said, else where things are at all; a followed camera may move."""
+        self._camera_alarm.look(self._camera.finding(), self._say)
+        if self._camera_alarm.raised is None and not self._rig.follows_world:
+            self._off_alarm.look(self._off.finding(), self._say)
 
     @property
     def problem(self) -> str:
         """What is wrong now, by how much and since when; empty where nothing is."""
-        alarms = [self._camera_alarm, *(alarm for watch in self._robots for alarm in watch.alarms)]
+        alarms = [self._camera_alarm, self._off_alarm, *(alarm for watch in self._robots for alarm in watch.alarms)]
         return "; ".join(filter(None, (self._place.problem, *(alarm.problem for alarm in alarms))))

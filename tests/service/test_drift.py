@@ -60,6 +60,14 @@ def test_nothing_is_said_of_robots_that_drive_stand_and_leave_under_a_camera_tha
     assert drift.problem == ""
 
 
+def test_a_camera_that_was_moved_while_nobody_served_is_said() -> None:
+    said, drift = watched(Fault(-1.0, shift=np.array([8e-3, 0.0, 0.0])), 1, 2, 50)
+    (sentence,) = said
+    assert sentence.startswith("what is fixed is seen elsewhere than the rig has it: r00 ")
+    assert "calibrate world RIG SOURCE --fixed" in sentence
+    assert drift.problem
+
+
 def test_a_camera_that_moves_where_nothing_is_fixed_cannot_be_told() -> None:
     said, _ = watched(Fault(AT_S, turn=tilt(0.02), focal=5e-4), 1, 0)
     assert said == []
