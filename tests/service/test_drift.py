@@ -1,14 +1,18 @@
 """What is said of drift: of the thing that is wrong, once, and taken back; nothing where nothing is."""
 
+from dataclasses import replace
 from datetime import datetime
 
 import numpy as np
 import pytest
 
 from asterism.protocol.geometry import Floats
+from asterism.server import Frame, Tracks, localize
 from asterism.server.service.alarm import GONE_AFTER, RAISED_AFTER, Alarm, Finding, step_of
 from asterism.server.service.drift import Drift
+from asterism.server.simulation.simulate import Look, Scene
 from tests.measure.drawn_frames import Fault, Stage, stage_rig
+from tests.rigs import make_camera, make_rig
 
 AT_S = 100
 FRAMES = 3  # a second
@@ -58,6 +62,28 @@ def test_nothing_is_said_of_robots_that_drive_stand_and_leave_under_a_camera_tha
     said, drift = watched(Fault(), 2, 1, 400, "")
     assert said == []
     assert drift.problem == ""
+
+
+def test_by_pixels_a_bent_led_is_said_and_nothing_before() -> None:
+    rig = make_rig(1, seed=9, camera=make_camera(480, 360, 900.0), range_m=(0.6, 1.2))
+    leds = rig.robots[0].leds.copy()
+    leds[4] += [-9e-5, 9e-5, 0.0]
+    bent = replace(rig, robots=(replace(rig.robots[0], leds=leds),))
+    straight, crooked = (Scene(each, 5, Look(glints=1)) for each in (rig, bent))
+    said: list[tuple[int, str]] = []
+    second, tracks = 0, Tracks.none()
+    drift = Drift(rig, lambda text: said.append((second, text)))
+    for second in range(AT_S + 30):
+        scene = straight if second < AT_S else crooked
+        for index in (2 * second, 2 * second + 1):
+            image = scene.render(index, scene.truth(index, 0.5 * index))
+            result, tracks = localize(Frame(image, round(1e18 + 5e8 * index), index), rig, tracks)
+            drift.add(result)
+        drift.look()
+    (when, sentence), *_ = said
+    assert when > AT_S
+    assert sentence.startswith("r00: LED 4 is 0.")
+    assert drift.problem.startswith("r00: LED 4 is 0.1")
 
 
 def test_a_camera_that_was_moved_while_nobody_served_is_said() -> None:
