@@ -166,8 +166,20 @@ class Learned(_message.Message):
     led_misfit: _containers.RepeatedScalarFieldContainer[float]
     def __init__(self, led_misfit: _Optional[_Iterable[float]] = ...) -> None: ...
 
+class CameraPlace(_message.Message):
+    __slots__ = ("pose", "covariance", "noise", "seen_ns")
+    POSE_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    NOISE_FIELD_NUMBER: _ClassVar[int]
+    SEEN_NS_FIELD_NUMBER: _ClassVar[int]
+    pose: Pose
+    covariance: _containers.RepeatedScalarFieldContainer[float]
+    noise: _containers.RepeatedScalarFieldContainer[float]
+    seen_ns: int
+    def __init__(self, pose: _Optional[_Union[Pose, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., noise: _Optional[_Iterable[float]] = ..., seen_ns: _Optional[int] = ...) -> None: ...
+
 class FrameReport(_message.Message):
-    __slots__ = ("sequence", "exposed_ns", "arrived_ns", "solved_ns", "published_ns", "frame_id", "spots", "robots", "learned", "session", "clock")
+    __slots__ = ("sequence", "exposed_ns", "arrived_ns", "solved_ns", "published_ns", "frame_id", "spots", "robots", "learned", "session", "clock", "camera")
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     EXPOSED_NS_FIELD_NUMBER: _ClassVar[int]
     ARRIVED_NS_FIELD_NUMBER: _ClassVar[int]
@@ -179,6 +191,7 @@ class FrameReport(_message.Message):
     LEARNED_FIELD_NUMBER: _ClassVar[int]
     SESSION_FIELD_NUMBER: _ClassVar[int]
     CLOCK_FIELD_NUMBER: _ClassVar[int]
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
     sequence: int
     exposed_ns: int
     arrived_ns: int
@@ -190,7 +203,8 @@ class FrameReport(_message.Message):
     learned: Learned
     session: int
     clock: Clock
-    def __init__(self, sequence: _Optional[int] = ..., exposed_ns: _Optional[int] = ..., arrived_ns: _Optional[int] = ..., solved_ns: _Optional[int] = ..., published_ns: _Optional[int] = ..., frame_id: _Optional[str] = ..., spots: _Optional[_Union[Spots, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RobotReport, _Mapping]]] = ..., learned: _Optional[_Union[Learned, _Mapping]] = ..., session: _Optional[int] = ..., clock: _Optional[_Union[Clock, str]] = ...) -> None: ...
+    camera: CameraPlace
+    def __init__(self, sequence: _Optional[int] = ..., exposed_ns: _Optional[int] = ..., arrived_ns: _Optional[int] = ..., solved_ns: _Optional[int] = ..., published_ns: _Optional[int] = ..., frame_id: _Optional[str] = ..., spots: _Optional[_Union[Spots, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RobotReport, _Mapping]]] = ..., learned: _Optional[_Union[Learned, _Mapping]] = ..., session: _Optional[int] = ..., clock: _Optional[_Union[Clock, str]] = ..., camera: _Optional[_Union[CameraPlace, _Mapping]] = ...) -> None: ...
 
 class Beat(_message.Message):
     __slots__ = ("session", "sequence", "time_ns", "monotonic_ns", "rate", "started_ns")

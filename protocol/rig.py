@@ -162,6 +162,12 @@ def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str, offs
         return offset_texts[file]
 
     robots = tuple(_robot(name, part, T_world_camera, remembered) for name, part in inner.sections().items())
+    if follows and not any(robot.T_world_fixed is not None for robot in robots):
+        raise section.section("world").error(
+            "follow",
+            "true, but no robot of the rig is `fixed`, expected one at least: where the camera is, is told by "
+            "constellations that do not move",
+        )
     _refuse_lookalikes(inner, robots)
     return Rig(
         camera=camera,

@@ -30,7 +30,7 @@ from asterism.recordings import overlay
 from asterism.recordings.plates import TO_THE_CAMERA, plate_outline, roll_pitch_yaw_deg
 from asterism.recordings.png_image import png
 from asterism.recordings.robot_table import robot_table
-from asterism.recordings.scene import STATE_COLOURS, name_place, part, place_scene, robot_colours
+from asterism.recordings.scene import STATE_COLOURS, name_place, part, place_scene, place_transform, robot_colours
 
 APPLICATION = "asterism"
 TRAIL = 600  # positions kept of every robot's path
@@ -70,6 +70,10 @@ class Drawing:
         self._at(report.exposed_ns, report.sequence)
         robots = [robot for robot in report.robots if robot.id in self._outlines]
         poses = {robot.id: report_pose(robot.pose) for robot in robots if robot.HasField("pose")}
+        if report.HasField("camera"):
+            place = report_pose(report.camera.pose)
+            self._T_camera_parent = place.inverse()
+            self._stream.log("world/camera", place_transform(place))
         angles = {robot_id: self._angles_of(pose) for robot_id, pose in poses.items()}
         self._over_the_image(report, poses)
         for robot in robots:

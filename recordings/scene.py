@@ -3,7 +3,7 @@
 import numpy as np
 import rerun as rr
 
-from asterism.protocol.geometry import Floats
+from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.messages import State
 from asterism.protocol.rig import Rig, Robot
 from asterism.recordings.plates import plate_outline
@@ -59,6 +59,11 @@ def name_place(robot: Robot) -> Floats:
     return robot.T_robot_plane.map(np.array([0.0, 0.0, NAME_ABOVE * robot.extent]))
 
 
+def place_transform(pose: Pose) -> rr.Transform3D:
+    """A pose as the viewer takes it."""
+    return rr.Transform3D(translation=pose.position, quaternion=rr.Quaternion(xyzw=pose.orientation))
+
+
 def _place_camera(stream: rr.RecordingStream, rig: Rig) -> None:
     camera, in_world = rig.camera, rig.T_world_camera
     near, far = working_range(rig)
@@ -67,8 +72,8 @@ def _place_camera(stream: rr.RecordingStream, rig: Rig) -> None:
     else:
         stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         stream.log("world/origin", rr.TransformAxes3D(0.1), static=True)
-        place = rr.Transform3D(translation=in_world.position, quaternion=rr.Quaternion(xyzw=in_world.orientation))
-        stream.log("world/camera", place, static=True)
+        # A static place would hide those of frames in which the camera was followed.
+        stream.log("world/camera", place_transform(in_world), static=not rig.follows_world)
     stream.log(
         "world/camera/image",
         rr.Pinhole(

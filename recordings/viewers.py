@@ -27,6 +27,7 @@ class Viewers:
     """Makes the transforms and annotations of the frame reports of one rig."""
 
     def __init__(self, rig: Rig) -> None:
+        self._camera = rig.camera.name
         self._annotations = keys.annotations(rig.camera.name)
         self._points = {
             robot.id: [(robot.id, f"{robot.id}/{name}", Pose(point, _UPRIGHT)) for name, point in robot.points.items()]
@@ -36,6 +37,8 @@ class Viewers:
     def messages(self, message: Message, report: "pb.FrameReport") -> list[Message]:
         """Of a frame report, which ``message`` carried."""
         transforms: list[tuple[str, str, Pose]] = []
+        if report.HasField("camera"):
+            transforms.append((report.frame_id, self._camera, report_pose(report.camera.pose)))
         for robot in report.robots:
             if robot.HasField("pose"):
                 transforms.append((report.frame_id, robot.id, report_pose(robot.pose)))

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import Clock
 from asterism.server.centres.blobs import Blobs
+from asterism.server.pose.place import Place
 from asterism.server.pose.solve import Lost, PoseEstimate
 
 
@@ -35,7 +36,8 @@ class FrameResult:
     """All that a frame told: every spot with its fate, and an answer for every robot of the rig.
 
     ``learned`` (robots,) m is what earlier frames had told of how far off the rig has each robot's LEDs, one sigma,
-    and what the poses were solved with; 0 where they had told nothing.
+    and what the poses were solved with; 0 where they had told nothing. ``place`` is where the camera was taken to be,
+    where the rig has it followed.
     """
 
     index: int
@@ -43,3 +45,4 @@ class FrameResult:
     blobs: Blobs
     answers: dict[str, PoseEstimate | Lost]
     learned: Floats
+    place: Place | None = None

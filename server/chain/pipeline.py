@@ -15,6 +15,7 @@ from asterism.server.centres.streaks import streak_moments
 from asterism.server.centres.weighted import weigh_spots
 from asterism.server.chain.answers import answers_of
 from asterism.server.chain.frame import Frame, FrameResult
+from asterism.server.chain.world import Following, carried_over, place_before, place_now
 from asterism.server.identity.identify import identify
 from asterism.server.identity.plan import Plan, plan_for
 from asterism.server.identity.rays import Rays, rays_of
@@ -41,6 +42,9 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     image = _image_of(frame, rig)
     plan = plan_for(rig)
     known = tracks.copy_for(len(rig.robots))
+    before = place_before(tracks, rig, frame.exposed_ns) if rig.follows_world else None
+    if before is not None:
+        plan = plan.at(before.T_world_camera)
     learned = known.learned_at(frame.exposed_ns)
     blobs = _blobs(image, plan)
     seen = rays_of(blobs, plan)
@@ -61,8 +65,14 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
         choices = _choose(frame, seen, matches.found, solutions, plan, known)
     else:
         solutions, choices, known = _solve_rolling(frame, blobs, seen, matches.found, plan, known, commons)
-    answers = answers_of(plan, blobs, seen, matches, solutions, choices)
-    return FrameResult(frame.index, frame.exposed_ns, blobs, answers, learned), known
+    if before is None:
+        answers = answers_of(plan, blobs, seen, matches, solutions, choices)
+        return FrameResult(frame.index, frame.exposed_ns, blobs, answers, learned), known
+    place = place_now(before, plan, blobs, seen, matches.found, solutions)
+    carried_over(choices, before.T_world_camera, place)
+    answers = answers_of(plan.at(place.T_world_camera), blobs, seen, matches, solutions, choices)
+    result = FrameResult(frame.index, frame.exposed_ns, blobs, answers, learned, place)
+    return result, Following.of(known, place)
 
 
 def _image_of(frame: Frame, rig: Rig) -> NDArray[np.uint8]:

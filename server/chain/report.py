@@ -56,6 +56,11 @@ def frame_report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int) ->
         frame_id=rig.parent_frame,
     )
     message.learned.led_misfit.extend(result.learned.tolist())
+    if result.place is not None:
+        set_report_pose(message.camera.pose, result.place.T_world_camera)
+        message.camera.covariance.extend(result.place.covariance.ravel().tolist())
+        message.camera.noise.extend(result.place.noise.ravel().tolist())
+        message.camera.seen_ns = result.place.seen_ns
     blobs, spots = result.blobs, message.spots
     spots.x.extend(blobs.centres_px[:, 0].tolist())
     spots.y.extend(blobs.centres_px[:, 1].tolist())

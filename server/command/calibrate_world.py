@@ -1,4 +1,4 @@
-"""asterism calibrate world: T_world_camera from robots at surveyed places, or from a board on the floor."""
+"""asterism calibrate world: T_world_camera from robots at surveyed places, a board, or what stands still."""
 
 import argparse
 from pathlib import Path
@@ -20,7 +20,8 @@ from asterism.server.calibration.lens.camera_file import report_path
 from asterism.server.calibration.lens.lens_error import LensError
 from asterism.server.calibration.lens.targets import parse_target, refuse_symmetric
 from asterism.server.calibration.result_file import check_result_file, write_result_file
-from asterism.server.calibration.rewrite import relocate, rewrite
+from asterism.server.calibration.rewrite import Value, relocate, rewrite
+from asterism.server.calibration.survey.fixed import fit_fixed, standing_of
 from asterism.server.calibration.survey.survey import read_survey
 from asterism.server.calibration.survey.surveyed import pair
 from asterism.server.calibration.survey.world import WorldFit, fit_world, without_world
@@ -30,15 +31,18 @@ from asterism.server.chain.warm_up import FINDING, localizing, warm_up
 from asterism.server.command.calibrate import TARGET, TRUTH, add_source_and_out
 from asterism.server.command.fitted_rig import fitting
 from asterism.server.command.progress import progress, working
+from asterism.server.pose.place import apart
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source, refuse_endless
 
 EXAMPLES = (
     "asterism calibrate world rig.yaml board.png --target chessboard:9x6:0.025 -o rig2.yaml\n"
     "asterism calibrate world rig.yaml frames/ --truth surveyed.jsonl -o rig2.yaml\n"
+    "asterism calibrate world rig.yaml frames/ --fixed -o rig2.yaml\n"
 )
 
 MOST_ROWS = 40
+TILT_ODDS = 10.0  # times worse that the other tilt fits, below which it is said
 TURNED_DEG = 5.0  # a survey whose orientations are off by more is probably another frame's
 
 
@@ -48,6 +52,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     of = part.add_mutually_exclusive_group(required=True)
     of.add_argument("--target", metavar="TARGET", help=TARGET)
     of.add_argument("--truth", metavar="POINTS", type=Path, help=TRUTH)
+    of.add_argument("--fixed", action="store_true", help="the rig's own constellations that do not move (`fixed`)")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -60,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
     camera_path = Path(options.rig).parent / parse_yaml(rig.rig_text, options.rig).text("camera")
     uncertainty = read_uncertainty(Path(options.rig), rig.centre, camera_path)
     lens = lens_error_of(rig.camera, camera_path, uncertainty)
-    place = _from_target if options.target is not None else _from_survey
+    place = _from_fixed if options.fixed else _from_target if options.target is not None else _from_survey
     T_world_camera, covariance, shares = place(options, rig, lens.covariance, uncertainty)
     position, orientation = T_world_camera.position.round(7) + 0.0, T_world_camera.orientation.round(9) + 0.0
     sigmas = np.sqrt(np.diag(covariance))
@@ -73,8 +78,14 @@ def run(options: argparse.Namespace) -> int:
         print(
             f"of that the robots' frames and sizes: {_sigmas(np.sqrt(np.diag(shares.robots)))}, by {uncertainty.file}"
         )
-    world = {"position": position.tolist(), "orientation": orientation.tolist()}
-    text = rewrite(rig.rig_text, {("world",): world}, options.rig)
+    changes: dict[tuple[str, ...], Value] = {
+        ("world",): {"position": position.tolist(), "orientation": orientation.tolist()}
+    }
+    if rig.follows_world:  # which stays
+        changes = {
+            ("world", key): value.tolist() for key, value in (("position", position), ("orientation", orientation))
+        }
+    text = rewrite(rig.rig_text, changes, options.rig)
     parse_rig(text, rig.camera_text, str(options.out), rig.offset_texts)
     text = relocate(text, Path(options.rig), options.out)
     kept = write_result_file(options.out, text, options.force)
@@ -118,11 +129,7 @@ def _from_survey(
         say(remark)
     pairs = paired.pairs
     with working("fitting the camera's place"):
-        robots = {
-            name: RobotError(error.size_relative, error.frame_m, error.tilt_rad, error.turn_rad)
-            for name, error in uncertainty.robots.items()
-        }
-        fit, shares = with_systematic_errors(fit_world(pairs, str(options.truth)), rig, lens, robots)
+        fit, shares = with_systematic_errors(fit_world(pairs, str(options.truth)), rig, lens, robot_errors(uncertainty))
     _tell(fit)
     axes = [fit.T_world_camera.rotation @ s.pose.rotation @ rig.robot(s.robot).axis for s, _ in pairs]
     if np.median([axis[2] for axis in axes]) < 0.0:
@@ -136,6 +143,14 @@ def _from_survey(
             "degrees (one sigma); are they T_world_robot, x y z w?"
         )
     return fit.T_world_camera, fit.covariance, shares
+
+
+def robot_errors(uncertainty: Uncertainty) -> dict[str, RobotError]:
+    """What is not known of the robots' constellations."""
+    return {
+        name: RobotError(error.size_relative, error.frame_m, error.tilt_rad, error.turn_rad)
+        for name, error in uncertainty.robots.items()
+    }
 
 
 def _tell(fit: WorldFit) -> None:
@@ -204,6 +219,45 @@ def _from_target(options: argparse.Namespace, rig: Rig, lens: Floats, _: Uncerta
         highlight=False,
     )
     return fit.T_world_camera, fit.covariance, Shares(fit.of_lens, np.zeros((6, 6)))
+
+
+def _from_fixed(
+    options: argparse.Namespace, rig: Rig, lens: Floats, uncertainty: Uncertainty
+) -> tuple[Pose, Floats, Shares]:
+    if not any(robot.T_world_fixed is not None for robot in rig.robots):
+        raise InputError(
+            f"{options.rig}: no robot is `fixed`, expected at least one constellation that does not move, with where "
+            "it is in the world"
+        )
+    source = open_source(options.source, rig, say)
+    alone = without_world(rig)
+    warm_up(*localizing(alone))
+    seen = [told for _, told in progress(observe(source.frames(), alone), source.length, "localizing")]
+    with working("fitting the camera's place"):
+        fit = fit_fixed(rig, standing_of(rig, seen, source.name), lens, robot_errors(uncertainty), source.name)
+    console = _console()
+    table = Table(box=None, header_style="bold", padding=(0, 1))
+    for name in ("constellation", "frames", "LEDs", "residual px", "off the others mm", "sigmas"):
+        table.add_column(name, justify="left" if name == "constellation" else "right", no_wrap=True)
+    for row in fit.rows:
+        off = ("-", "-") if np.isnan(row.off_m) else (f"{1e3 * row.off_m:.3f}", f"{row.off_sigmas:.1f}")
+        table.add_row(row.robot, str(row.frames), str(row.leds), f"{row.rms_px:.3f}", *off)
+    console.print(table)
+    console.print(f"each alone leaves {fit.spot_px:.3f} px of a spot unexplained", highlight=False)
+    if fit.other_tilt < TILT_ODDS:
+        say(
+            f"warning: one constellation, seen so, has two tilts; the other fits {fit.other_tilt:.1f} times as badly. "
+            "The one nearer to where the rig has its camera was taken where that is little; fix another constellation, "
+            "or tilt this one"
+        )
+    assert rig.T_world_camera is not None
+    away = apart(rig.T_world_camera, fit.T_world_camera)
+    console.print(
+        f"the camera is {1e3 * np.linalg.norm(away[:3]):.3f} mm and {np.degrees(np.linalg.norm(away[3:])):.4f} degrees "
+        f"from where {options.rig} has it",
+        highlight=False,
+    )
+    return fit.T_world_camera, fit.covariance, fit.shares
 
 
 def _console() -> Console:

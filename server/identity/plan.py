@@ -1,5 +1,6 @@
 """What a rig's frames need again and again, computed once: tables, layouts, limits, work arrays."""
 
+import copy
 import math
 from collections import deque
 from functools import lru_cache
@@ -7,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from asterism.protocol.constellation import confusions
-from asterism.protocol.geometry import Floats
+from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.rig import Rig
 from asterism.server.centres.blobs import Ints
 from asterism.server.identity.quads import QuadTable
@@ -71,6 +72,13 @@ class Plan:
             apart = np.linalg.norm(layout[:, None] - layout[None], axis=-1) + np.eye(len(layout)) * 1e9
             spacing = max(spacing, float(apart.min()))
         return near, self.focal * spacing / 4.0
+
+    def at(self, T_world_camera: Pose) -> "Plan":
+        """The same with the camera at another place."""
+        other = copy.copy(self)
+        place = T_world_camera.rotation, T_world_camera.position.copy()
+        other.mounts = self.mounts._replace(camera_rotation=place[0], camera_origin=place[1])
+        return other
 
     def borrow_scratch(self) -> Scratch:
         """Work arrays nobody else is using; hand them back with `return_scratch`."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from asterism.protocol.led_offset import LedOffset
 from asterism.protocol.rig import NormalPrior, Rig, Robot
 from asterism.server.chain.smooth import Motions
+from asterism.server.chain.world import Following
 from asterism.server.pose.courses import Courses
 from asterism.server.pose.track import Tracks
 
@@ -24,20 +25,22 @@ def carried(tracks: Tracks, before: Rig, after: Rig) -> Tracks:
     courses = tracks.courses
     rolling = len(courses.seen_ns) and before.capture.line_time_us == after.capture.line_time_us
     out = out._replace(courses=Courses.none(len(after.robots)) if rolling else Courses.none())
-    for old, new in _same_robots(before, after):
+    for old, new in same_robots(before, after):
         for source, target in zip(_arrays(tracks), _arrays(out), strict=True):
             target[new] = source[old]
         if rolling:
             for source, target in zip(courses, out.courses, strict=True):
                 target[new] = source[old]
+    if isinstance(tracks, Following) and after.follows_world and same_references(before, after):
+        return Following.of(out, tracks.place)
     return out
 
 
 def carried_motions(motions: Motions, before: Rig, after: Rig) -> Motions:
     """The same for what smoothing remembers, which is in the parent frame."""
-    if not (same_camera(before, after) and _same_world(before, after)):
+    if not (same_camera(before, after) and same_world(before, after)):
         return Motions.none()
-    kept = [after.robots[new].id for _, new in _same_robots(before, after)]
+    kept = [after.robots[new].id for _, new in same_robots(before, after)]
     return Motions({robot: motions.robots[robot] for robot in kept if robot in motions.robots})
 
 
@@ -47,14 +50,29 @@ def same_camera(before: Rig, after: Rig) -> bool:
     return a.model == b.model and np.array_equal(a.matrix, b.matrix) and np.array_equal(a.distortion, b.distortion)
 
 
-def _same_world(before: Rig, after: Rig) -> bool:
+def same_world(before: Rig, after: Rig) -> bool:
+    """Whether the camera stands at the same place of the world, or of none."""
     a, b = before.T_world_camera, after.T_world_camera
     if a is None or b is None:
         return a is b
     return np.array_equal(a.position, b.position) and np.array_equal(a.orientation, b.orientation)
 
 
-def _same_robots(before: Rig, after: Rig) -> list[tuple[int, int]]:
+def same_references(before: Rig, after: Rig) -> bool:
+    """Whether the camera and all constellations that stand still are where they were, before the same camera."""
+    return same_camera(before, after) and same_world(before, after) and _standing(before) == _standing(after)
+
+
+def _standing(rig: Rig) -> dict[str, tuple[bytes, ...]]:
+    """The rig's constellations that stand still, as values to be compared."""
+    return {
+        robot.id: (robot.leds.tobytes(), place.position.tobytes(), place.orientation.tobytes())
+        for robot in rig.robots
+        if (place := robot.T_world_fixed) is not None
+    }
+
+
+def same_robots(before: Rig, after: Rig) -> list[tuple[int, int]]:
     """Places in both rigs of the robots that have not changed."""
     places = {robot.id: place for place, robot in enumerate(before.robots)}
     return [

@@ -21,6 +21,7 @@ from asterism.server.pose.track import Tracks
 from asterism.server.service.adviser import Adviser
 from asterism.server.service.carry import carried, carried_motions
 from asterism.server.service.disk import Disk
+from asterism.server.service.drift import Drift
 from asterism.server.service.health import Health
 from asterism.server.service.live_line import Now
 from asterism.server.service.publish import Publisher
@@ -33,6 +34,7 @@ from asterism.server.sources.session_clock import SessionClock
 from asterism.server.sources.source import LiveSource, Source
 
 STATUS_EVERY_S = 1.0
+BREATH_S = 0.001  # of the thread that looks at drift: frames do not wait for it to be done
 SILENT_S = 0.5  # after that long without a frame no robot counts as visible
 
 Sink = Callable[[list[Message], Frame], None]
@@ -109,6 +111,7 @@ class Run:
         self.stop = stop
         self.health = Health(rig.camera.name, source.name, (robot.id for robot in rig.robots))
         self._adviser = Adviser(rig, self.health.tally, say)
+        self._drift = Drift(rig, say)
         self._disk = None if outlets.recorder is None else Disk(outlets.recorder, say)
         self._systemd = Systemd()
         self._reloads = pb.Reloads()
@@ -178,7 +181,8 @@ class Run:
         if recorder is not None:
             health.frames_not_recorded = recorder.frames_left_out
             health.messages_not_recorded = recorder.messages_left_out
-        problems = (self._waiting(), "" if recorder is None else recorder.problem, self._reloads.problem)
+        drift = self._drift.problem
+        problems = (self._waiting(), "" if recorder is None else recorder.problem, self._reloads.problem, drift)
         health.problem = "; ".join(filter(None, problems))
 
     def _waiting(self) -> str:
@@ -197,6 +201,7 @@ class Run:
         if self._disk is not None:
             self._disk.look()
         self._adviser.look()
+        self._drift.look(lambda: time.sleep(BREATH_S))
 
     def _loop(self, feed: Feed, smoothed: bool) -> None:
         publisher, recorder = self.outlets.publisher, self.outlets.recorder
@@ -221,6 +226,7 @@ class Run:
             located = (robot for robot, answer in result.answers.items() if isinstance(answer, PoseEstimate))
             publisher.show_visible(located)
             self.health.add(frame, result, solved_ns, messages[-1].publish_ns)
+            self._drift.add(result)
             if recorder is not None:
                 recorder.write(messages, frame.image, frame.exposed_ns, frame.index)
             for sink in self.outlets.sinks:
@@ -250,6 +256,7 @@ class Run:
         self.rig = rig
         self.health.tally.change_robots(robot.id for robot in rig.robots)
         self._adviser = Adviser(rig, self.health.tally, say)
+        self._drift = self._drift.with_rig(rig)
         for take in self.outlets.rig_takers:
             take(rig)
 

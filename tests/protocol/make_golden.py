@@ -127,6 +127,18 @@ def frame_report() -> "pb.FrameReport":
     return message
 
 
+def followed_report() -> "pb.FrameReport":
+    """A frame of a rig whose camera is followed."""
+    message = frame_report()
+    message.frame_id = "world"
+    message.camera.pose.position.z = 1.3
+    message.camera.pose.orientation.x = 1.0
+    message.camera.covariance.extend([0.25] * 36)
+    message.camera.noise.extend([0.125] * 36)
+    message.camera.seen_ns = EXPOSED_NS
+    return message
+
+
 def status() -> "pb.Status":
     """A second of a server's life."""
     return pb.Status(
@@ -162,6 +174,7 @@ def golden() -> dict[str, tuple[bytes, type[Message]]]:
         "odometry": (encode_odometry(ROBOT_POSE), Odometry),
         "odometry_smoothed": (encode_odometry(SMOOTHED_POSE), Odometry),
         "frame_report": (to_bytes(frame_report()), pb.FrameReport),
+        "frame_report_followed": (to_bytes(followed_report()), pb.FrameReport),
         "status": (to_bytes(status()), pb.Status),
         "beat": (to_bytes(beat()), pb.Beat),
         "rig_report": (to_bytes(rig_report()), pb.RigReport),

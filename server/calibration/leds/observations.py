@@ -4,7 +4,7 @@ Every frame is localized alone, so that no pose leans on the one before it.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -71,6 +71,8 @@ class Sighting:
 
 def observe(frames: Iterable[Frame], rig: Rig) -> Iterator[tuple[Frame, list[Sighting]]]:
     """Every frame with the robots that were located in it. Raises InputError as `localize` does."""
+    if rig.follows_world:
+        rig = replace(rig, follows_world=False)  # poses about the camera are told
     T_camera_parent = (rig.T_world_camera or Pose.identity()).inverse()
     turn = np.kron(np.eye(2), T_camera_parent.rotation)
     for frame in frames:

@@ -66,7 +66,7 @@ class WorldFit:
 def without_world(rig: Rig) -> Rig:
     """The rig as if nobody knew where its camera is: a wrong world must not choose between two tilts."""
     robots = tuple(replace(robot, normal=None) for robot in rig.robots)
-    return replace(rig, T_world_camera=None, robots=robots)
+    return replace(rig, T_world_camera=None, follows_world=False, robots=robots)
 
 
 def fit_world(pairs: Sequence[tuple[Sighting, SurveyedPose]], survey: str) -> WorldFit:
