@@ -116,7 +116,7 @@ def moves_of(rig: Rig, shown: Sightings) -> Moves:
     squares = np.swapaxes(stacked, 1, 2) @ stacked
     squares[:, np.arange(6), np.arange(6)] *= 1.0 + STEADY
     inverse = np.linalg.inv(squares)
-    taken = stacked @ (inverse @ (np.swapaxes(stacked, 1, 2) @ off.reshape(n, -1, 1)))
+    taken = stacked @ (inverse @ (np.swapaxes(stacked, 1, 2) @ off.reshape(n, 2 * LEDS, 1)))
     left = off - taken.reshape(n, LEDS, 2)
     own = np.eye(2) - by_pose @ inverse[:, None] @ np.swapaxes(by_pose, 2, 3)
     in_plate = by_point @ (shown.rotations @ axes)[:, None]

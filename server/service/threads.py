@@ -1,10 +1,13 @@
 """Threads between a source and the chain: the newest frame of a camera, the next frames of a file."""
 
+import logging
 import queue
 import threading
 from collections.abc import Callable, Iterator
 
 from asterism.server.chain.frame import Frame
+
+_LOG = logging.getLogger(__name__)
 
 AHEAD = 3  # frames of a file that are decoded before they are needed
 
@@ -83,7 +86,7 @@ class Feed:
 
 
 class Ticker:
-    """Calls a function at a steady interval, from a thread of its own, until it is closed."""
+    """Calls a function at a steady interval, from a thread of its own, until it is closed, also where it fails."""
 
     def __init__(self, call: Callable[[], None], every_s: float) -> None:
         self._call = call
@@ -99,4 +102,7 @@ class Ticker:
 
     def _run(self) -> None:
         while not self._stop.wait(self._every_s):
-            self._call()
+            try:
+                self._call()
+            except Exception:  # a fault of the program must not end what others take for a sign of life
+                _LOG.exception("what is done every %g s failed; it is tried again", self._every_s)

@@ -306,6 +306,22 @@ def test_a_ticker_calls_until_it_is_closed() -> None:
     assert not called.is_set()
 
 
+def test_a_ticker_goes_on_where_what_it_calls_fails(caplog: pytest.LogCaptureFixture) -> None:
+    calls, often = [], threading.Event()
+
+    def fail() -> None:
+        calls.append(0)
+        if len(calls) == 3:
+            often.set()
+        raise ZeroDivisionError("meant")
+
+    ticker = Ticker(fail, 0.001)
+    assert often.wait(5.0)
+    ticker.close()
+    assert all(record.exc_info is not None for record in caplog.records)
+    assert len(caplog.records) == len(calls)
+
+
 def test_capture_settings_reach_the_sources_rate() -> None:
     rig = Rig(SMALL, RIG.robots, capture=Capture(rate_hz=120.0))
     assert Simulated(rig, count=1).rate_hz == 120.0
