@@ -36,6 +36,15 @@ def tilt(deg: float) -> Floats:
     return np.radians(deg) * np.array([0.6, 0.8, 0.0])
 
 
+def test_a_second_in_which_nobody_is_seen_is_looked_at_too() -> None:
+    rig, said = make_rig(2, camera=make_camera(320, 240, 400.0)), list[str]()
+    drift, dark = Drift(rig, said.append), np.zeros((240, 320), np.uint8)
+    for second in range(3):
+        drift.add(localize(Frame(dark, second * 1_000_000_000, second), rig, Tracks.none())[0])
+        drift.look()
+    assert (said, drift.problem) == ([], "")
+
+
 @pytest.mark.parametrize(
     ("fault", "robots", "fixed", "expected"),
     [
