@@ -14,6 +14,7 @@ BLOCKS = 60
 FASTEST = 3e-4  # that clocks of quartz run apart
 JUMP_NS = 20_000_000  # nearer is a delay that was, or was not, there
 LATE_NS = 1_000_000_000  # that no frame ever is
+TRUSTED_NS = 10_000_000_000  # of this length the edge is half believed: over a short time chance tilts it
 SETTLED = 5  # blocks after which it is known what of the delay is always there
 
 
@@ -84,7 +85,9 @@ class CameraClock:
         return self._level + self._slope * at_ns
 
     def _fit(self) -> None:
-        self._slope = min(max(_slope(self._blocks), -FASTEST), FASTEST)
+        long_ns = self._blocks[-1].at_ns - self._blocks[0].at_ns
+        belief = long_ns**2 / (long_ns**2 + TRUSTED_NS**2)
+        self._slope = belief * min(max(_slope(self._blocks), -FASTEST), FASTEST)
         self._level = min(least.delay_ns - self._slope * least.at_ns for least in self._blocks)
         if self._asked is not None and len(self._blocks) <= SETTLED:
             asked_camera_ns, asked_host_ns = self._asked
