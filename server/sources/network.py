@@ -77,6 +77,7 @@ class NetworkImages:
         self._arrived: queue.Queue[_Arrived | None] = queue.Queue(WAITING)
         self._count = 0
         self._bad = ""  # what was wrong with the newest message, where it was no image
+        self._comes = False  # something that is none, while there is a problem
         self._said_s = -SAID_EVERY_S
         self._subscriber: zenoh.Subscriber[None] | None = None
 
@@ -181,9 +182,9 @@ class NetworkImages:
         bad, self._bad = self._bad, ""
         why = f"what comes is none ({bad})" if bad else "waiting for them"
         problem = f"{self.name}: no images for {silent_ns * 1e-9:.1f} s; {why}"
-        if not self.problem:
+        if not self.problem or (bad and not self._comes):
             self._say(problem)
-        self.problem = problem
+        self.problem, self._comes = problem, bool(bad)
 
 
 def check_key(key: str) -> None:

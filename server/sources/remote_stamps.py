@@ -24,14 +24,14 @@ class RemoteStamps:
 
     def middle_ns(self, stamp_ns: int, arrived_ns: int) -> int | None:
         """Mid-exposure of an image, ns of the host's monotonic clock, at which it arrived; None where its stamp tells
-        nothing: there is none, or it is not behind the one before.
+        nothing: there is none, or it is that of the one before.
         """
-        if stamp_ns <= 0:
+        if stamp_ns <= 0 or stamp_ns == self._newest_ns:
             return None
-        if self._apart_ns is not None and self._waited(arrived_ns - stamp_ns - self._apart_ns, arrived_ns):
-            return stamp_ns + self._apart_ns + self._to_middle_ns
-        if stamp_ns == self._newest_ns:
-            return None
+        if self._apart_ns is not None:
+            waited = self._waited(arrived_ns - stamp_ns - self._apart_ns, arrived_ns)
+            if waited or stamp_ns < self._newest_ns:  # the latter overtaken on its way
+                return stamp_ns + self._apart_ns + self._to_middle_ns
         self._newest_ns = stamp_ns
         mapped_ns = self._clock.host_ns(stamp_ns, arrived_ns)
         self._apart_ns = mapped_ns - stamp_ns
@@ -45,5 +45,5 @@ class RemoteStamps:
             self._late_since_ns = arrived_ns
         if arrived_ns - self._late_since_ns < SET_NS:
             return True
-        self._late_since_ns = None
+        self._late_since_ns, self._newest_ns = None, 0
         return False

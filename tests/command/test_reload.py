@@ -4,6 +4,7 @@ import signal
 import socket
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ import zenoh
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
+from asterism.protocol.capture import Capture
 from asterism.protocol.codec import decode_frame_report, decode_rig, decode_status
 from asterism.protocol.errors import InputError
 from asterism.protocol.network import client_config
@@ -180,6 +182,11 @@ def test_another_camera_is_refused_and_settings_wait_for_the_next_start() -> Non
     ):
         with pytest.raises(InputError, match=words):
             refuse_another_camera(make_rig(2, camera=camera), served, "rig.yaml")
+    moved = replace(served, capture=Capture(offset=(8, 0)))
+    with pytest.raises(
+        InputError, match=r"offset and binning are \(8, 0\) and 1, expected None and 1 as the camera was"
+    ):
+        refuse_another_camera(moved, served, "rig.yaml")
     assert settings_left(served, make_rig(3)) == ""
 
 

@@ -271,6 +271,16 @@ def test_the_stamp_may_be_the_start_or_the_end_of_the_exposure() -> None:
         assert mapped.middle_ns(1 * S + 500_000_000, 5 * S + 510_000_000) == 5 * S + 500_000_000 + middle_ns
 
 
+def test_a_stamp_that_tells_nothing_and_one_that_was_overtaken() -> None:
+    mapped = stamps()
+    assert mapped.middle_ns(0, 5 * S) is None
+    assert mapped.middle_ns(-7, 5 * S) is None
+    assert mapped.middle_ns(S, 5 * S) == 5 * S
+    assert mapped.middle_ns(S, 5 * S + 16_000_000) is None
+    assert mapped.middle_ns(S + 32_000_000, 5 * S + 32_000_000) == 5 * S + 32_000_000
+    assert mapped.middle_ns(S + 16_000_000, 5 * S + 33_000_000) == 5 * S + 16_000_000
+
+
 def test_what_waited_on_its_way_does_not_look_fresh_and_a_clock_that_was_set_is_followed() -> None:
     mapped, at_ns = stamps(), 100 * S
     for k in range(50):
