@@ -63,11 +63,14 @@ class GenicamCamera:
                 return None
             place = found
         if place.address and (owner := self._owner(place.address)) is not None:
-            raise WorldError(f"{self.name}: the camera is in use by {owner}; it serves one at a time")
+            raise self._taken_by(owner)
         try:
             return self._opened(place)
         except AravisError as problem:
             raise WorldError(f"{self.name}: the camera does not open ({problem})") from None
+
+    def _taken_by(self, owner: str) -> WorldError:
+        return WorldError(f"{self.name}: the camera is in use by {owner}; it serves one at a time")
 
     def _owner(self, address: str) -> str | None:
         """Which program has it. At the first start a little is waited for one that ended without a word."""
@@ -81,7 +84,10 @@ class GenicamCamera:
         camera = ArvCamera(place.id, place.address)
         try:
             if not camera.is_ours():
-                raise WorldError(f"{self.name}: the camera is in use by {camera.owner() or 'another program'}")
+                raise self._taken_by(camera.owner() or "another program")
+            if camera.is_gige():
+                with contextlib.suppress(AravisError):  # some cannot try; then what is set stays
+                    camera.negotiate_packets()
             applied = apply_settings(camera, self._capture, self._size, self.name, self._say)
             device = GenicamDevice(camera, applied, self._capture, LostFrames(self.name, self._say))
         except BaseException:
@@ -107,17 +113,10 @@ class GenicamDevice:
         self._id: int | None = None
         self._damaged = 0  # frames since the one of that number
         self._stamp_ns = self._mid_ns = 0
-        if camera.is_gige():
-            with contextlib.suppress(AravisError):  # some cannot try; then what is set stays
-                camera.negotiate_packets()
         self._packet_size = camera.packet_size() if camera.is_gige() else 0
         self._stamps = Stamps(camera)
+        self._clock = CameraClock()
         self._stream = ArvStream(camera, camera.payload())
-        try:
-            self._clock = CameraClock(self._stamps.ask())
-        except BaseException:
-            in_background(self._stream.close)
-            raise
 
     def read(self) -> Taken | Waiting | None:
         """The next image, what came in its place, or nothing yet: in a fraction of a second. None when it is gone."""
@@ -143,6 +142,7 @@ class GenicamDevice:
     def _start(self) -> bool:
         """Not before somebody reads: Aravis would run out of memory for frames. False where the camera is gone."""
         try:
+            self._clock = CameraClock(self._stamps.ask())
             self._camera.start()
         except AravisError:
             self._gone = True

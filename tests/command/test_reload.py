@@ -4,6 +4,7 @@ import signal
 import socket
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ import zenoh
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
+from asterism.protocol.capture import Capture
 from asterism.protocol.codec import decode_frame_report, decode_rig, decode_status
 from asterism.protocol.errors import InputError
 from asterism.protocol.network import client_config
@@ -181,6 +183,9 @@ def test_another_camera_is_refused_and_settings_wait_for_the_next_start() -> Non
         with pytest.raises(InputError, match=words):
             refuse_another_camera(make_rig(2, camera=camera), served, "rig.yaml")
     assert settings_left(served, make_rig(3)) == ""
+    triggered = replace(served, capture=Capture(gain=3.0, trigger="Line1", delay_us=20.0))
+    left = "capture.gain, capture.trigger, capture.delay_us: the camera takes that at the next start"
+    assert settings_left(served, triggered) == left
 
 
 def test_what_is_not_there_is_told(capsys: pytest.CaptureFixture[str]) -> None:
