@@ -44,15 +44,6 @@ def _loaded(library: str) -> ctypes.CDLL:
         raise WorldError(MISSING) from None
 
 
-def is_installed() -> bool:
-    """Whether the library is on this machine."""
-    try:
-        _loaded(LIBRARY)
-    except WorldError:
-        return False
-    return True
-
-
 @cache
 def function(name: str, result: Any, *arguments: Any, library: str = LIBRARY) -> Callable[..., Any]:
     """A function of the library. Raises WorldError, with what to install, where the library is missing."""

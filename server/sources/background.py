@@ -10,12 +10,13 @@ LONGEST_S = 2.0  # that the program's end waits: a camera that is let go of prop
 _running: list[threading.Thread] = []
 
 
-def in_background(work: Callable[[], None]) -> None:
-    """Do it in a thread of its own."""
+def in_background(work: Callable[[], None]) -> threading.Thread:
+    """Do it in a thread of its own, which is returned."""
     _running[:] = [thread for thread in _running if thread.is_alive()]
     thread = threading.Thread(target=work, name="letting-go", daemon=True)
     _running.append(thread)
     thread.start()
+    return thread
 
 
 @atexit.register

@@ -1,6 +1,7 @@
 """GigE Vision and USB3 Vision cameras as devices of a `Camera`."""
 
 import contextlib
+import threading
 import time
 
 from asterism.protocol.capture import SOFTWARE, Capture
@@ -25,6 +26,7 @@ POP_S = 0.1
 RETRY_S = 0.2  # while it is away
 SILENT_S = 0.3  # without a frame, after which it is asked whether it is there
 STUCK_S = 3.0  # a camera that runs by itself, is there, and delivers nothing for so long is opened anew
+CLOSING_S = 1.0  # that letting go of a camera takes which answers
 HELD_S = 3.5  # a camera is its program's after the last sign of life (GigE Vision's heartbeat: 3 s)
 _LOOK_EVERY = 4  # times that it is not where it was, the whole network is asked
 _PARTS = {"start": 0.5, "middle": 0.0, "end": -0.5}  # of the exposure, from the stamp to its middle
@@ -43,12 +45,15 @@ class GenicamCamera:
         self._size = size
         self._say = say
         self._place: Place | None = None
+        self._device: GenicamDevice | None = None  # the last one
         self._away = 0
 
     def open(self) -> "GenicamDevice | None":
         """None while it is away. Raises WorldError where it is taken or Aravis is missing; InputError where there is
         none, or for settings that it refuses.
         """
+        if self._device is not None:
+            self._device.wait_until_free()
         if self._place is None:
             place = find(self._text)
         else:
@@ -58,30 +63,37 @@ class GenicamCamera:
                 return None
             place = found
         if place.address and (owner := self._owner(place.address)) is not None:
-            raise WorldError(f"{self.name}: the camera is in use by {owner}; it serves one at a time")
+            raise self._taken_by(owner)
         try:
             return self._opened(place)
         except AravisError as problem:
             raise WorldError(f"{self.name}: the camera does not open ({problem})") from None
 
+    def _taken_by(self, owner: str) -> WorldError:
+        return WorldError(f"{self.name}: the camera is in use by {owner}; it serves one at a time")
+
     def _owner(self, address: str) -> str | None:
         """Which program has it. At the first start a little is waited for one that ended without a word."""
-        until_s = time.monotonic() + (HELD_S if self._place is None else 0.0)
-        while (owner := taken_by(address)) is not None and time.monotonic() < until_s:
-            time.sleep(POP_S)
-        return owner
+        owner = taken_by(address)
+        if owner is None or self._place is not None:
+            return owner
+        time.sleep(HELD_S)  # some take every question for a sign of life
+        return taken_by(address)
 
     def _opened(self, place: Place) -> "GenicamDevice":
         camera = ArvCamera(place.id, place.address)
         try:
             if not camera.is_ours():
-                raise WorldError(f"{self.name}: the camera is in use by {camera.owner() or 'another program'}")
+                raise self._taken_by(camera.owner() or "another program")
+            if camera.is_gige():
+                with contextlib.suppress(AravisError):  # some cannot try; then what is set stays
+                    camera.negotiate_packets()
             applied = apply_settings(camera, self._capture, self._size, self.name, self._say)
             device = GenicamDevice(camera, applied, self._capture, LostFrames(self.name, self._say))
         except BaseException:
             in_background(camera.close)
             raise
-        self._place, self._away = place, 0
+        self._place, self._away, self._device = place, 0, device
         return device
 
 
@@ -96,25 +108,20 @@ class GenicamDevice:
         self._lost = lost
         self._trigger_every_s = 1.0 / capture.rate_hz if capture.rate_hz else 0.0
         self._trigger_due_s = self._newest_s = time.monotonic()
-        self._pending = self._gone = False
+        self._started = self._pending = self._gone = False
+        self._closing: threading.Thread | None = None
         self._id: int | None = None
         self._damaged = 0  # frames since the one of that number
         self._stamp_ns = self._mid_ns = 0
-        if camera.is_gige():
-            with contextlib.suppress(AravisError):  # some cannot try; then what is set stays
-                camera.negotiate_packets()
         self._packet_size = camera.packet_size() if camera.is_gige() else 0
         self._stamps = Stamps(camera)
+        self._clock = CameraClock()
         self._stream = ArvStream(camera, camera.payload())
-        try:
-            self._clock = CameraClock(self._stamps.ask())
-            camera.start()
-        except BaseException:
-            in_background(self._stream.close)
-            raise
 
     def read(self) -> Taken | Waiting | None:
         """The next image, what came in its place, or nothing yet: in a fraction of a second. None when it is gone."""
+        if not self._started and not self._start():
+            return None
         if self._applied.trigger == SOFTWARE:
             self._fire()
         raw = self._stream.next(POP_S)
@@ -132,9 +139,25 @@ class GenicamDevice:
             return None
         return Waiting(f"it waits for its trigger ({waits})" if waits and silent_s > STUCK_S else "")
 
+    def _start(self) -> bool:
+        """Not before somebody reads: Aravis would run out of memory for frames. False where the camera is gone."""
+        try:
+            self._clock = CameraClock(self._stamps.ask())
+            self._camera.start()
+        except AravisError:
+            self._gone = True
+            return False
+        self._started, self._newest_s = True, time.monotonic()
+        return True
+
     def close(self) -> None:
         """Let go of it, without waiting: Aravis takes seconds where the camera does not answer."""
-        in_background(self._close)
+        self._closing = in_background(self._close)
+
+    def wait_until_free(self) -> None:
+        """Until a camera that answers was let go of."""
+        if self._closing is not None and not self._gone:
+            self._closing.join(CLOSING_S)
 
     def _close(self) -> None:
         if not self._gone:

@@ -188,6 +188,9 @@ def test_another_camera_is_refused_and_settings_wait_for_the_next_start() -> Non
     ):
         refuse_another_camera(moved, served, "rig.yaml")
     assert settings_left(served, make_rig(3)) == ""
+    triggered = replace(served, capture=Capture(gain=3.0, trigger="Line1", delay_us=20.0))
+    left = "capture.gain, capture.trigger, capture.delay_us: the camera takes that at the next start"
+    assert settings_left(served, triggered) == left
 
 
 def test_what_is_not_there_is_told(capsys: pytest.CaptureFixture[str]) -> None:

@@ -147,7 +147,7 @@ def test_a_camera_that_another_program_took_is_said_and_taken_up_when_it_is_free
         poll.wait(0.1)
     other = GenicamCamera(ADDRESS, rig_with().capture, None, silent).open()
     assert other is not None
-    monkeypatch.setattr(genicam.ArvCamera, "is_ours", lambda _: True)
+    monkeypatch.setattr(camera._device._camera, "is_ours", lambda: True)  # type: ignore[union-attr]
     until_back = (frame for frame in stream if any("is back" in text for text in said))
     reader = threading.Thread(target=next, args=(until_back,))
     reader.start()
