@@ -30,8 +30,8 @@ LEAST_PX, MOST_PX = 0.02, 0.1  # one sigma of a coordinate of that median: light
 FEWEST = 4  # LEDs
 SURE = 50.0  # chi squared that an explanation takes off
 MOVED_PX = 0.2  # RMS, by which a camera, or a constellation, that moved is worth saying: 0.008 degrees at 1400 px
-FOCAL = 0.0002  # a change of the focal length that is worth saying, of it
-BENT_PX = 0.05  # RMS of spots, by which a lens that was touched is worth saying
+FOCAL = 0.0003  # a change of the focal length that is worth saying, of it: warmth alone changes it by 0.01 %
+BENT_PX = 0.1  # RMS of spots, by which a lens that was touched is worth saying
 STEP = 1e-6  # m, of numeric derivatives
 
 
