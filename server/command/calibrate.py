@@ -14,7 +14,7 @@ EXAMPLES = (
 SUBCOMMANDS = {
     "camera": "the camera's lens model from views of a planar target",
     "leds": "a robot's six LED positions from a film of it moved about",
-    "world": "T_world_camera from a target on the floor or robots at surveyed points",
+    "world": "T_world_camera from a target on the floor, robots at surveyed points, or what is fixed",
     "offset": "how far LEDs seem to move with the angle they are seen at",
     "z": "physical refit of the rig, then the super-plane for Z, from surveyed poses",
 }

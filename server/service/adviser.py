@@ -94,6 +94,7 @@ def wider_rig(rig: Rig, mirrored: bool) -> Rig:
         range_m=None,
         z_correction=None,
         T_world_camera=None,
+        follows_world=False,
         robots=tuple(_wider_robot(robot, mirrored) for robot in rig.robots),
     )
 

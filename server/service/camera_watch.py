@@ -7,8 +7,9 @@ the lens' focal length and its distortion (two), these and its principal point (
 What can be told apart. A focal length against a camera that moved along its axis: by constellations at different
 distances alone; else the two numbers of the lens are the simpler explanation. A principal point against a camera that
 turned: by what turning bends in spots far from the middle, a hundredth of it at 10 degrees; else the camera is named.
-One constellation alone may as well have moved itself. And without one nothing can be told: a robot's own residuals
-show a focal length that is 0.05 % off by less than 0.001 px, since its pose takes the rest.
+One constellation alone tells six numbers, which any of them explains; the camera stands for all. And without one
+nothing can be told: a robot's own residuals show a focal length that is 0.05 % off by less than 0.001 px, since its
+pose takes the rest.
 """
 
 from collections import deque
@@ -30,8 +31,8 @@ LEAST_PX, MOST_PX = 0.02, 0.1  # one sigma of a coordinate of that median: light
 FEWEST = 4  # LEDs
 SURE = 50.0  # chi squared that an explanation takes off
 MOVED_PX = 0.2  # RMS, by which a camera, or a constellation, that moved is worth saying: 0.008 degrees at 1400 px
-FOCAL = 0.0002  # a change of the focal length that is worth saying, of it
-BENT_PX = 0.05  # RMS of spots, by which a lens that was touched is worth saying
+FOCAL = 0.0003  # a change of the focal length that is worth saying, of it: warmth alone changes it by 0.01 %
+BENT_PX = 0.1  # RMS of spots, by which a lens that was touched is worth saying
 STEP = 1e-6  # m, of numeric derivatives
 
 
@@ -137,8 +138,8 @@ class CameraWatch:
             f"{1e3 * np.linalg.norm(numbers[:3]):.2f} mm and {np.degrees(np.linalg.norm(numbers[3:])):.3f} degrees"
         )
         if what == "camera":
-            or_else = f", or {self._names[0]}" if len(self.robots) == 1 else ""
-            return f"the camera{or_else} was moved by {how_far}"
+            which = f"the camera, its lens or {self._names[0]}" if len(self._names) == 1 else "the camera"
+            return f"{which} was moved by {how_far}"
         return f"{what}, which the rig has as fixed, was moved by {how_far}"
 
     def _since(self, explained: Floats, seen: Floats) -> int:
@@ -162,17 +163,17 @@ def _causes_of(rig: Rig) -> list[Cause]:
     by_lens = pixels_by_lens(rig.camera, points)
     focal = by_lens[:, :, :2] @ np.diag(rig.camera.matrix)[:2]
     lens = np.stack([focal, by_lens[:, :, 4], by_lens[:, :, 2], by_lens[:, :, 3]], axis=-1)
+    lenses = [Cause("lens", lens[..., :2], 4.0), Cause("lens and its middle", lens, 30.0)]
     causes = [
-        Cause("lens", lens[..., :2], 4.0),
-        Cause("lens and its middle", lens, 16.0),
-        Cause("camera", -np.concatenate([by_point, by_point @ turning(points)], axis=-1), 10.0),
+        *(lenses if len(poses) > 1 else []),
+        Cause("camera", -np.concatenate([by_point, by_point @ turning(points)], axis=-1), 22.0),
     ]
     for k, (robot, _) in enumerate(poses):
         mine = slice(LEDS * k, LEDS * (k + 1))
         arms = points[mine] - points[mine].mean(axis=0)
         by = np.zeros((len(points), 2, 6))
         by[mine] = np.concatenate([by_point[mine], by_point[mine] @ turning(arms)], axis=-1)
-        causes.append(Cause(robot.id, by, 14.0))
+        causes.append(Cause(robot.id, by, 26.0))
         for led in range(LEDS):
             by = np.zeros((len(points), 2, 2))
             by[mine.start + led] = np.eye(2)

@@ -9,10 +9,13 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose, log_rotation
 from asterism.protocol.rig import Rig, load_rig, parse_rig
 from asterism.server import Frame, FrameResult, PoseEstimate, Tracks, localize
+from asterism.server.calibration.leds.observations import observe
 from asterism.server.calibration.rewrite import rewrite
+from asterism.server.calibration.survey.world import without_world
 from asterism.server.chain.report import frame_report
 from asterism.server.chain.world import Following, place_before
 from asterism.server.pose.place import Place, apart, moved
+from asterism.server.service.adviser import wider_rig
 from asterism.server.service.carry import carried
 from asterism.server.service.drift import Drift
 from asterism.server.simulation.demo_rig import DEMO_RIG
@@ -165,6 +168,33 @@ def test_without_follow_nothing_is_told_of_the_camera(frames: list[Frame]) -> No
     assert result.place is None
     assert type(tracks) is Tracks
     assert not frame_report(frames[0], result, rig, 0).HasField("camera")
+
+
+def test_what_looks_without_the_world_does_not_follow_it(frames: list[Frame]) -> None:
+    rig = demo_rig()
+    for other in (wider_rig(rig, False), without_world(rig)):
+        result, _ = localize(frames[0], other, Tracks.none())
+        assert result.place is None
+    assert rig.T_world_camera is not None
+    ((_, sightings),) = observe(frames[:1], rig)
+    for sighting in sightings[:2]:
+        fixed = rig.robot(sighting.robot).T_world_fixed
+        true = SCENE_RIG.T_world_camera
+        if fixed is not None and true is not None:
+            assert_poses_close(sighting.pose, true.inverse() @ fixed, 1e-3, 2e-2)
+
+
+def test_with_a_rolling_shutter_the_camera_is_followed_likewise(frames: list[Frame]) -> None:
+    rig = demo_rig()
+    rig = replace(rig, capture=replace(rig.capture, line_time_us=1.0))
+    results, tracks = located(rig, frames[:4], Tracks.none())
+    assert isinstance(tracks, Following)
+    true = SCENE_RIG.T_world_camera
+    assert true is not None
+    error = apart(true, tracks.place.T_world_camera)
+    assert error @ np.linalg.solve(tracks.place.covariance, error) < 25.0
+    assert len(tracks.courses.seen_ns) == len(rig.robots)
+    assert results[-1].place is tracks.place
 
 
 def test_a_rig_read_again_keeps_the_place_where_nothing_moved(frames: list[Frame]) -> None:

@@ -50,7 +50,7 @@ def test_a_second_in_which_nobody_is_seen_is_looked_at_too() -> None:
     [
         (Fault(AT_S, focal=5e-4), 0, 3, "the lens was touched: its focal length changed by +0.0"),
         (Fault(AT_S, turn=tilt(0.02)), 0, 3, "the camera was moved by "),
-        (Fault(AT_S, turn=tilt(0.02)), 0, 1, "the camera, or r00 was moved by "),
+        (Fault(AT_S, turn=tilt(0.02)), 0, 1, "the camera, its lens or r00 was moved by "),
         (Fault(AT_S, fixed=1, fixed_moved=np.array([5e-4, 0.0, 0.0])), 0, 3, "r01, which the rig has as fixed, "),
         (Fault(AT_S, led=(0, 2), moved=np.array([8e-5, 6e-5, 0.0])), 1, 0, "r00: LED 2 is 0."),
         (Fault(AT_S, led=(0, 3), dark=True), 1, 0, "r00: LED 3 is not seen, since "),
