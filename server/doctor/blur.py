@@ -11,15 +11,18 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chndtr
 
 from asterism.protocol.geometry import Floats
 from asterism.server.doctor.cuts import Cut
 
 SHARP_PX = 0.75  # sigma of the blur, pixels included, of a focused lens on a pixel matched to it
-STEPS = 10
-START_BLURS = (0.8, 1.6, 3.2)  # px
+STEPS, HALVINGS, STEP, SHORT = 10, 6, 1e-3, 2e-3  # of the logarithms
+NODES = 224  # distances at which profiles are computed
+START_BLURS = (0.9, 2.5)  # px
 BOUNDS = (0.3, 12.0)  # px, of the blur
+LEAST_PIXELS = 20  # of a spot
 CEILING = 250.0  # grey levels: from there on a pixel tells no more
 RADIUS_SIGMA = 0.4  # of the logarithm of the radius that is expected, one sigma
 GAIN = 0.035  # variance a grey level of light, see centres.centre
@@ -36,75 +39,97 @@ class Blur(NamedTuple):
     chi2: float
 
 
+class _Pixels(NamedTuple):
+    """All pixels of k cuts, cut after cut: ``values``, square roots of their ``weights`` and which cut they are ``of``
+    (n,), between which two of the ``nodes`` (NODES,) px they lie, ``lower`` (n,), and how far on, ``part`` (n,); the
+    ``scale`` px per m of the cuts and where they ``begin`` (k,).
+    """
+
+    values: Floats
+    weights: Floats
+    of: NDArray[np.int64]
+    nodes: Floats
+    lower: NDArray[np.int64]
+    part: Floats
+    scale: Floats
+    begin: NDArray[np.int64]
+
+
 def fit_blur(cuts: Sequence[Cut], radius_m: float | None) -> Blur | None:
     """Blur and radius common to the cuts; ``radius_m`` is what is expected. None where no pixel tells."""
-    expected = radius_m or float(np.median([_half_height_px(cut) / cut.px_per_m for cut in cuts] or [0.0]))
-    usable = [cut for cut in cuts if np.count_nonzero(cut.values < CEILING) > 20]
-    if not usable or not expected > 0.0:
+    usable = [cut for cut in cuts if np.count_nonzero(cut.values < CEILING) > LEAST_PIXELS]
+    if not usable:
         return None
-    best: tuple[float, Floats] | None = None
-    for start in START_BLURS:
-        cost, p = _descend(usable, np.log([expected, start]), math.log(expected))
-        if best is None or cost < best[0]:
-            best = cost, p
-    assert best is not None
-    radius, blur = np.exp(best[1])
+    seen = float(np.median([_half_height_px(cut) / cut.px_per_m for cut in usable]))
+    pixels, expected = _laid_out(usable), math.log(radius_m or seen)
+    cost, p = min((_descend(pixels, np.log([seen, start]), expected) for start in START_BLURS), key=lambda end: end[0])
+    radius, blur = np.exp(p)
     scale = float(np.mean([cut.px_per_m for cut in usable]))
-    return Blur(float(blur), float(radius), float(radius * scale), best[0] / sum(len(cut.values) for cut in usable))
+    return Blur(float(blur), float(radius), float(radius * scale), cost / len(pixels.values))
+
+
+def _laid_out(cuts: Sequence[Cut]) -> _Pixels:
+    lengths = np.array([len(cut.values) for cut in cuts])
+    values = np.concatenate([cut.values for cut in cuts])
+    light = np.concatenate([cut.values - cut.values.min() for cut in cuts])
+    noise = np.repeat([cut.noise**2 + 0.1 for cut in cuts], lengths)
+    weights = np.where(values < CEILING, 1.0 / np.sqrt(noise + GAIN * light), 0.0)
+    distances = np.concatenate([cut.distances for cut in cuts])
+    nodes = np.linspace(0.0, float(distances.max()) + 1e-6, NODES)
+    place = distances / nodes[1]
+    lower = np.minimum(place.astype(np.int64), NODES - 2)
+    begin = np.concatenate([[0], np.cumsum(lengths)[:-1]])
+    of, scale = np.repeat(np.arange(len(cuts)), lengths), np.array([cut.px_per_m for cut in cuts])
+    return _Pixels(values, weights, of, nodes, lower, place - lower, scale, begin)
 
 
 def _half_height_px(cut: Cut) -> float:
-    """Radius of the circle as large as the spot's part above half its height."""
+    """Radius of the circle as large as the spot's part above half its height; pixels have an area of 1."""
     low, high = np.quantile(cut.values, 0.2), cut.values.max()
-    reach = math.pi * float(cut.distances.max()) ** 2 / 2.0
-    share = float(np.mean(cut.values > 0.5 * (low + high)))
-    return max(math.sqrt(share * reach / math.pi), 0.3)
+    return max(math.sqrt(np.count_nonzero(cut.values > 0.5 * (low + high)) / math.pi), 0.4)
 
 
-def _descend(cuts: Sequence[Cut], p: Floats, expected: float) -> tuple[float, Floats]:
+def _descend(pixels: _Pixels, p: Floats, expected: float) -> tuple[float, Floats]:
     """Gauss-Newton on the logarithms of radius and blur."""
-    cost, rest = _residuals(cuts, p, expected)
+    rest = _residuals(pixels, p, expected)
     for _ in range(STEPS):
-        step = 1e-3
-        by = np.column_stack([(_residuals(cuts, p + step * np.eye(2)[k], expected)[1] - rest) / step for k in (0, 1)])
-        move = np.clip(np.linalg.lstsq(by, -rest, rcond=None)[0], -0.7, 0.7)
-        while True:
-            trial = p + move
-            trial[1] = np.clip(trial[1], *np.log(BOUNDS))
-            trial_cost, trial_rest = _residuals(cuts, trial, expected)
-            if trial_cost <= cost or np.abs(move).max() < 1e-3:
+        by = np.column_stack([(_residuals(pixels, p + STEP * axis, expected) - rest) / STEP for axis in np.eye(2)])
+        move = np.clip(np.linalg.solve(by.T @ by + 1e-9 * np.eye(2), -by.T @ rest), -0.7, 0.7)
+        for _ in range(HALVINGS):
+            trial = np.array([p[0] + move[0], np.clip(p[1] + move[1], *np.log(BOUNDS))])
+            after = _residuals(pixels, trial, expected)
+            if after @ after <= rest @ rest:
                 break
             move = 0.4 * move
-        if trial_cost > cost:
+        else:
             break
-        done = np.abs(trial - p).max() < 2e-3
-        p, cost, rest = trial, trial_cost, trial_rest
+        done = np.abs(trial - p).max() < SHORT
+        p, rest = trial, after
         if done:
             break
-    return cost, p
+    return float(rest @ rest), p
 
 
-def _residuals(cuts: Sequence[Cut], p: Floats, expected: float) -> tuple[float, Floats]:
-    """Squared residuals and the residuals, over their sigmas, of all pixels and of what is expected of the radius."""
+def _residuals(pixels: _Pixels, p: Floats, expected: float) -> Floats:
+    """Over their sigmas, of all pixels with every cut's own background and height, and of the expected radius."""
     radius_m, blur = np.exp(p)
-    rest = []
-    for cut in cuts:
-        a = radius_m * cut.px_per_m
-        profile = profile_at(cut.distances, a, blur)
-        known = cut.values < CEILING
-        weights = known / np.sqrt(cut.noise**2 + 0.1 + GAIN * np.maximum(cut.values - cut.values.min(), 0.0))
-        columns = np.column_stack([np.ones_like(profile), profile]) * weights[:, None]
-        told = weights * cut.values
-        rest.append(told - columns @ np.linalg.lstsq(columns, told, rcond=None)[0])
-    rest.append(np.array([(p[0] - expected) / RADIUS_SIGMA]))
-    whole = np.concatenate(rest)
-    return float(whole @ whole), whole
+    w, told = pixels.weights, pixels.weights * pixels.values
+    # At so few distances that it costs little; between them it is straight enough.
+    profiles = profile_at(pixels.nodes, radius_m * pixels.scale[:, None], blur)
+    below, above = (profiles[pixels.of, pixels.lower + k] for k in (0, 1))
+    lit = w * (below + pixels.part * (above - below))
+    ww, wl, ll, wt, lt = (
+        np.add.reduceat(part, pixels.begin) for part in (w * w, w * lit, lit * lit, w * told, lit * told)
+    )
+    det = np.maximum(ww * ll - wl * wl, 1e-12)
+    base, rise = (ll * wt - wl * lt) / det, (ww * lt - wl * wt) / det
+    rest = told - base[pixels.of] * w - rise[pixels.of] * lit
+    return np.append(rest, (p[0] - expected) / RADIUS_SIGMA)
 
 
-def profile_at(distances: Floats, radius_px: float, blur_px: float) -> Floats:
-    """Share (n,) of a disc's brightness at distances (n,) px from its centre."""
-    profile: Floats = chndtr((radius_px / blur_px) ** 2, 2.0, (distances / blur_px) ** 2)
-    return profile
+def profile_at(distances: Floats, radius_px: float | Floats, blur_px: float) -> Floats:
+    """Share of a disc's brightness at distances (n,) px from its centre; a row for each of many radii (k, 1)."""
+    return np.asarray(chndtr((radius_px / blur_px) ** 2, 2.0, (distances / blur_px) ** 2), np.float64)
 
 
 def centre_cost(radius_px: float, blur_px: float) -> float:

@@ -5,6 +5,7 @@ length, and the first coefficient of distortion. Robots' LEDs are free to be a l
 so a focal length shows weakly; how large an error these frames would have shown is told.
 """
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,6 +24,7 @@ from asterism.server.doctor.residuals import whitened
 
 OLD_DAYS = 365.0  # lenses creep with every summer and winter
 DAY_S = 86_400.0
+TELLING = 5e-3  # an error of the focal length that is to show before nothing is called good
 WORTH = 0.5e-3  # of the focal length: half a millimetre of Z at 1 m
 WORTH_PX = 0.5  # at the image's corner, of distortion
 
@@ -69,13 +71,14 @@ def check_calibration(gathered: Gathered, camera_file: Path, now_s: float, place
     if errors is not None and errors.bend.sure and abs(errors.bend.value) > WORTH_PX:
         off = f"distortion {errors.bend.value:+.1f} ± {errors.bend.sigma:.1f} px off at the corner"
         return Finding(name, Verdict.WRONG, f"{age}; {off}", again)
-    seen = ""
-    if errors is not None:
-        seen = f"; residuals fit it (focal length to {100 * SIGMAS * errors.focal.sigma:.1f} %)"
+    limits = [SIGMAS * errors.focal.sigma] if errors is not None else []
+    limit = min([*limits, *([place.focal_limit] if place is not None else [])], default=math.inf)
+    seen = f"; nothing speaks against it (a focal length off by {100 * limit:.2g} % would)" if limit < 1.0 else ""
     if days > OLD_DAYS:
         return Finding(name, Verdict.LOOK, f"{age}{told}{seen}", again)
-    if errors is None:
-        return Finding(name, Verdict.UNTOLD, f"{age}{told}; too few robots to judge it by")
+    if limit > TELLING:
+        advice = "A constellation in view that stands still (`fixed` in the rig) would show 0.1 %."
+        return Finding(name, Verdict.UNTOLD, f"{age}{told}{seen}", advice)
     return Finding(name, Verdict.GOOD, f"{age}{told}{seen}")
 
 

@@ -15,7 +15,7 @@ from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import Fate
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig
-from asterism.server.doctor.finding import Finding, Verdict
+from asterism.server.doctor.finding import Finding, Verdict, graded
 from asterism.server.doctor.gather import Gathered, Sightings
 from asterism.server.doctor.patterns import by_leds
 from asterism.server.doctor.residuals import explained_by, whitened
@@ -23,9 +23,10 @@ from asterism.server.doctor.residuals import explained_by, whitened
 FREE_M = 1e-3  # LEDs may be anywhere within this, one sigma: it only keeps moves finite that poses take up
 FEWEST = 5  # sightings
 SURE = 1e-6  # of a false alarm in one robot
-# LEDs that are off by less than this move no pose by more than one frame's noise does, at any distance at which that
-# error is as large as the noise of a centre: calibrate leds leaves 2 um, a circuit board 100.
-LOOK_M, WRONG_M = 20e-6, 200e-6
+# calibrate leds leaves 2 to 3 um, a circuit board 50 to 100, a ruler 500. What poses do not take up of one bent LED is
+# a quarter to a half of it, spread over all six.
+LOOK_M, WRONG_M = 10e-6, 100e-6
+LOOK_BENT_M, WRONG_BENT_M = 30e-6, 300e-6
 BEYOND_NOISE = 0.5  # of a frame's own noise: less is lost in it
 ALONE = 0.8  # share of what all LEDs together explain
 CLEARER = 25.0  # chi squared, than any other LED
@@ -122,14 +123,14 @@ def check_positions(gathered: Gathered, rig_name: str) -> Finding:
             found[robot.id] = misfit
     if not found:
         return Finding(name, Verdict.UNTOLD, f"no robot with all its LEDs in {FEWEST} frames")
-    graded = {robot: _verdict(misfit) for robot, misfit in found.items()}
-    worst = max(found, key=lambda robot: (graded[robot], found[robot].led_m or found[robot].rms_m))
-    misfit, verdict = found[worst], graded[worst]
+    verdicts = {robot: _verdict(misfit) for robot, misfit in found.items()}
+    worst = max(found, key=lambda robot: (verdicts[robot], found[robot].led_m or found[robot].rms_m))
+    misfit, verdict = found[worst], verdicts[worst]
     if verdict == Verdict.GOOD:
         most = max(misfit.rms_m for misfit in found.values())
         return Finding(name, verdict, f"all within {max(1e3 * most, 0.001):.2g} mm, as far as poses show it")
     advice = f"Run {typed('calibrate', 'leds', rig_name, 'RECORDING', '--robot', worst, '-o', 'OUT')}"
-    others = sum(other > Verdict.GOOD for other in graded.values()) - 1
+    others = sum(other > Verdict.GOOD for other in verdicts.values()) - 1
     more = f"; so are {others} others" if others > 1 else "; so is another's" if others else ""
     if misfit.led >= 0:
         told = f"{worst}: LED {misfit.led} is {_mm(misfit.led_m, misfit.sigma_m)} off{more}"
@@ -139,10 +140,11 @@ def check_positions(gathered: Gathered, rig_name: str) -> Finding:
 
 
 def _verdict(misfit: Misfit) -> Verdict:
-    off = max(misfit.rms_m, misfit.led_m)
-    if misfit.chance > SURE or off < LOOK_M or misfit.rms_px < BEYOND_NOISE * misfit.noise_px:
+    if misfit.chance > SURE or misfit.rms_px < BEYOND_NOISE * misfit.noise_px:
         return Verdict.GOOD
-    return Verdict.WRONG if off >= WRONG_M else Verdict.LOOK
+    if misfit.led >= 0:
+        return graded(misfit.led_m, LOOK_BENT_M, WRONG_BENT_M)
+    return graded(misfit.rms_m, LOOK_M, WRONG_M)
 
 
 def _mm(value: float, sigma: float) -> str:

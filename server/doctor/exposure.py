@@ -6,6 +6,7 @@ from scipy import stats
 from asterism.protocol.constellation import LEDS
 from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import Fate
+from asterism.server.doctor.constellations import left_out
 from asterism.server.doctor.finding import Finding, Verdict, graded
 from asterism.server.doctor.gather import Gathered, Sightings
 
@@ -13,8 +14,8 @@ GAIN = 0.035  # variance a grey level of light, as `centres.centre` expects it
 GOOD_HEIGHT = 150.0  # grey levels: the middle of what docs/hardware.md advises
 LOOK_COST, WRONG_COST = 2.0, 4.0  # times as uncertain as at that height: as in `focus`
 SATURATED = 0.05  # share of a spot's upper pixels from which on its top is cut off
-LOOK_SATURATED, WRONG_SATURATED = 0.5, 0.95  # share of LEDs whose tops are cut off
-FLAT = 0.6  # share of a spot's upper pixels that are saturated where light is several times the sensor's range
+LOOK_SATURATED = 0.5  # share of LEDs whose tops are cut off; centres bear twice and four times the range
+FLAT = 0.85  # share of a spot's upper pixels that are saturated where light is several times the sensor's range
 LOOK_BRIGHT, WRONG_BRIGHT = 0.005, 0.05  # share of the image
 # LEDs of one batch differ by a fifth; by less than this share of its robot's middle one is weak, and soon not seen.
 LOOK_DIM, WRONG_DIM = 0.6, 0.35
@@ -33,7 +34,7 @@ def check_exposure(gathered: Gathered) -> Finding:
     height, noise = float(np.median(seen.heights[lit])), float(np.median(seen.noises[lit]))
     told = f"LEDs {height:.0f} grey levels above their surroundings, {saturated:.0%} of them saturated"
     if saturated >= LOOK_SATURATED:
-        verdict = Verdict.WRONG if flat >= LOOK_SATURATED or saturated >= WRONG_SATURATED else Verdict.LOOK
+        verdict = Verdict.WRONG if flat >= LOOK_SATURATED else Verdict.LOOK
         return Finding(name, verdict, told, "Expose for a shorter time, or less gain, until few LEDs are saturated.")
     cost = noise_cost(height, noise)
     verdict = graded(cost, LOOK_COST, WRONG_COST)
@@ -83,6 +84,8 @@ def check_dim(gathered: Gathered) -> Finding:
         mine = seen.of(number)
         if len(mine.frames) >= LEDS:
             shares = led_shares(mine)
+            if (bent := left_out(gathered, number)) is not None:
+                shares[bent.led] = 1.0  # it shines, elsewhere
             weak += [(float(share), robot.id, led) for led, share in enumerate(shares) if share < LOOK_DIM]
     if not weak:
         return Finding(name, Verdict.GOOD, "every robot's LEDs are about equally bright")
@@ -93,7 +96,7 @@ def check_dim(gathered: Gathered) -> Finding:
 
 
 def _weakness(share: float) -> str:
-    return "is hardly ever seen" if share == 0.0 else f"has {share:.0%} of the others' light"
+    return "is dark, or too dim to be used" if share == 0.0 else f"has {share:.0%} of the others' light"
 
 
 def led_shares(seen: Sightings) -> Floats:
@@ -101,8 +104,8 @@ def led_shares(seen: Sightings) -> Floats:
     others are seen, by more than chance.
     """
     lit = seen.lit
-    with np.errstate(invalid="ignore", divide="ignore"):
-        shares = np.nanmedian(np.where(lit, seen.heights, np.nan) / np.nanmedian(seen.heights, axis=1)[:, None], axis=0)
+    relative = seen.heights / np.nanmedian(seen.heights, axis=1)[:, None]
+    shares = np.array([np.median(relative[lit[:, led], led]) if lit[:, led].any() else 0.0 for led in range(LEDS)])
     missing, m = 1.0 - lit.mean(axis=0), len(lit)
     for led in range(LEDS):
         others = float(np.median(np.delete(missing, led)))
@@ -110,4 +113,4 @@ def led_shares(seen: Sightings) -> Floats:
         chance = stats.binom.sf(round(missing[led] * m) - 1, m, max(others, 0.02))
         if missing[led] >= MISSING and chance < CHANCE:
             shares[led] = 0.0
-    return np.asarray(np.nan_to_num(shares, nan=0.0), np.float64)
+    return shares

@@ -26,14 +26,16 @@ STEP = 1e-5
 
 class LensOrPlace(NamedTuple):
     """What fixed constellations tell: ``shift_px`` in the mean over their LEDs, whether it is ``sure``, ``tilt_deg``
-    and ``moved_m`` of the camera if that moved; ``lens``, what is told where the focal length explains it; ``alone``,
-    the one constellation that does not stand where it stood, while the others do.
+    and ``moved_m`` of the camera if that moved; ``focal_limit``, the least error of the focal length that would
+    show, relative; ``lens``, what is told where the focal length explains it; ``alone``, the one constellation that
+    does not stand where it stood, while the others do.
     """
 
     shift_px: float
     sure: bool
     tilt_deg: float
     moved_m: float
+    focal_limit: float
     lens: str = ""
     alone: str = ""
 
@@ -104,7 +106,12 @@ def _explained(rig: Rig, found: Displaced) -> LensOrPlace:
     if sure and left < (1.0 - FOCAL_SHARE) * whole:
         lens = f"focal length {100 * focal:+.2f} % off by what stands still"
     return LensOrPlace(
-        shift, sure, math.degrees(float(np.linalg.norm(motion[3:]))), float(np.linalg.norm(motion[:3])), lens
+        shift,
+        sure,
+        math.degrees(float(np.linalg.norm(motion[3:]))),
+        float(np.linalg.norm(motion[:3])),
+        LOOK_PX / float(np.sqrt(((rig.camera.project(points) - middle) ** 2).sum(axis=1).mean())),
+        lens,
     )
 
 

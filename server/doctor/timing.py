@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import Clock
 from asterism.server.doctor.finding import Finding, Verdict, graded
-from asterism.server.doctor.gather import Gathered, Pictures
+from asterism.server.doctor.gather import Gathered, Ints, Pictures
 
 FEWEST = 10  # frames
+PHASE_GAIN, PERIOD_GAIN = 0.25, 0.01  # of a stamp's error, in following the beat
 RATE_LOOK, RATE_WRONG = 0.01, 0.1  # relative, from capture.rate
 LOST_WRONG = 0.05  # share of the frames
 # A robot at 0.5 m/s is elsewhere by 0.15 mm after the first, by 1 mm after the second.
@@ -33,30 +33,34 @@ def stamps_of(pictures: Pictures) -> Stamps | None:
     """What stamps and numbers tell; None of too few frames."""
     if len(pictures.exposed_ns) < FEWEST:
         return None
-    gaps = np.diff(pictures.exposed_ns)
-    steps = np.diff(pictures.indices)
-    forward = gaps[gaps > 0]
-    if not len(forward):
-        return Stamps(0.0, 0, 0.0, len(gaps), False)
-    period = _period(forward.astype(np.float64))
-    beats = np.maximum(np.rint(forward / period), 1.0)
-    off = forward - beats * period
+    gaps, steps = np.diff(pictures.exposed_ns), np.diff(pictures.indices)
+    backwards = int((gaps <= 0).sum())
+    if backwards:
+        return Stamps(0.0, 0, 0.0, backwards, False)
+    beats = beats_of(pictures.exposed_ns)
+    period = float(gaps.sum()) / max(float(beats.sum()), 1.0)
     # A gap's error is that of two stamps.
-    jitter = float(np.sqrt(np.mean(off**2) / 2.0))
-    missing = max(int(np.maximum(beats - 1.0, 0.0).sum()), int(np.maximum(steps - 1, 0).sum()))
+    jitter = float(np.sqrt(np.mean((gaps - beats * period) ** 2) / 2.0))
+    missing = max(int(beats.sum()) - len(gaps), int(np.maximum(steps - 1, 0).sum()), 0)
     counted = int(pictures.clocks[0]) == int(Clock.FILE) and float(np.ptp(gaps / steps)) <= COUNTED_NS
-    return Stamps(period * 1e-9, missing, jitter * 1e-9, int((gaps <= 0).sum()), counted)
+    return Stamps(period * 1e-9, missing, jitter * 1e-9, 0, counted)
 
 
-def _period(gaps: Floats) -> float:
-    """Of mostly single beats: the median, then the mean over the beats that it tells."""
-    period = float(np.median(gaps))
-    for _ in range(3):
-        beats = np.maximum(np.rint(gaps / period), 1.0)
-        near = np.abs(gaps - beats * period) < 0.35 * period
-        if near.any():
-            period = float(gaps[near].sum() / beats[near].sum())
-    return period
+def beats_of(exposed_ns: Ints) -> Ints:
+    """How many beats (n - 1,) each frame comes after the one before, 0 where a late stamp made the last gap too long.
+
+    The beat is followed with part of each stamp's error, so that a stamp is held against many before it.
+    """
+    gaps = np.diff(exposed_ns)
+    period, late = float(np.median(gaps)), 0.0
+    beats = np.empty(len(gaps), np.int64)
+    for k, gap in enumerate(gaps.tolist()):
+        late += gap
+        beats[k] = round(late / period)
+        late -= beats[k] * period
+        period += PERIOD_GAIN * late / max(int(beats[k]), 1)
+        late *= 1.0 - PHASE_GAIN
+    return beats
 
 
 def check_rate(gathered: Gathered, found: Stamps | None) -> Finding:

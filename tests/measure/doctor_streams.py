@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from asterism.protocol.camera import Camera
 from asterism.protocol.capture import Capture
-from asterism.protocol.geometry import Floats, Pose, exp_rotation
+from asterism.protocol.geometry import Pose, exp_rotation
 from asterism.protocol.messages import Clock
 from asterism.protocol.rig import Rig, Robot, load_rig
 from asterism.server import Frame
@@ -211,6 +211,10 @@ def _stale_standing(stream: Stream, focal: float) -> Stream:
     return _stale(replace(stream, true=still, told=still), focal)
 
 
+def _rolling(stream: Stream, line_us: float) -> Stream:
+    return replace(stream, true=replace(stream.true, capture=replace(stream.true.capture, line_time_us=line_us)))
+
+
 def _aged(stream: Stream, days: float) -> Stream:
     return replace(stream, age_days=days)
 
@@ -237,6 +241,7 @@ FAULTS = {
     "jittering stamps, s": Fault(_jittering, (0.5e-3, 1e-3, 3e-3), "time stamps"),
     "stale: focal length, by residuals": Fault(_stale, (0.003, 0.01, 0.03), "calibration"),
     "stale: focal length, fixed in view": Fault(_stale_standing, (0.001, 0.003, 0.01), "calibration", "camera's place"),
+    "rolling shutter, us a row": Fault(_rolling, (5.0, 15.0, 40.0), "rolling shutter"),
     "stale: age, days": Fault(_aged, (500.0,), "calibration"),
 }
 
@@ -248,9 +253,3 @@ def film_of(folder: str, told: Rig, images: list[str]) -> Iterator[Frame]:
         assert image is not None, name
         stamp_ns = START_NS + round(1e9 * index / RATE_HZ)
         yield Frame(np.asarray(image, np.uint8), stamp_ns, index, name, stamp_ns, Clock.FILE, 0)
-
-
-def noise_of(values: Floats) -> float:
-    """One sigma of the middle half."""
-    low, high = np.quantile(values, [0.25, 0.75])
-    return float(high - low) / 1.349
