@@ -20,7 +20,7 @@ from asterism.server.doctor.cuts import Cut
 SHARP_PX = 0.75  # sigma of the blur, pixels included, of a focused lens on a pixel matched to it
 STEPS, HALVINGS, STEP, SHORT = 10, 6, 1e-3, 2e-3  # of the logarithms
 NODES = 224  # distances at which profiles are computed
-START_BLURS = (0.9, 2.5)  # px
+START_BLURS = (0.6, 0.9, 2.5)  # px; the middle one with the radius that is expected, the others with what is seen
 BOUNDS = (0.3, 12.0)  # px, of the blur
 LEAST_PIXELS = 20  # of a spot
 CEILING = 250.0  # grey levels: from there on a pixel tells no more
@@ -62,7 +62,9 @@ def fit_blur(cuts: Sequence[Cut], radius_m: float | None) -> Blur | None:
         return None
     seen = float(np.median([_half_height_px(cut) / cut.px_per_m for cut in usable]))
     pixels, expected = _laid_out(usable), math.log(radius_m or seen)
-    cost, p = min((_descend(pixels, np.log([seen, start]), expected) for start in START_BLURS), key=lambda end: end[0])
+    starts = np.log(np.column_stack([[seen, math.exp(expected), seen], START_BLURS]))
+    # Saturated spots have more than one minimum.
+    cost, p = min((_descend(pixels, start, expected) for start in starts), key=lambda end: end[0])
     radius, blur = np.exp(p)
     scale = float(np.mean([cut.px_per_m for cut in usable]))
     return Blur(float(blur), float(radius), float(radius * scale), cost / len(pixels.values))

@@ -25,6 +25,7 @@ from asterism.server.doctor.residuals import whitened
 OLD_DAYS = 365.0  # lenses creep with every summer and winter
 DAY_S = 86_400.0
 TELLING = 5e-3  # an error of the focal length that is to show before nothing is called good
+BLIND = 0.1  # one that is no test at all
 WORTH = 0.5e-3  # of the focal length: half a millimetre of Z at 1 m
 WORTH_PX = 0.5  # at the image's corner, of distortion
 
@@ -73,7 +74,9 @@ def check_calibration(gathered: Gathered, camera_file: Path, now_s: float, place
         return Finding(name, Verdict.WRONG, f"{age}; {off}", again)
     limits = [SIGMAS * errors.focal.sigma] if errors is not None else []
     limit = min([*limits, *([place.focal_limit] if place is not None else [])], default=math.inf)
-    seen = f"; nothing speaks against it (a focal length off by {100 * limit:.2g} % would)" if limit < 1.0 else ""
+    seen = "; too few robots, or too ill known, to judge it by"
+    if limit < BLIND:
+        seen = f"; nothing speaks against it (a focal length off by {100 * limit:.2g} % would)"
     if days > OLD_DAYS:
         return Finding(name, Verdict.LOOK, f"{age}{told}{seen}", again)
     if limit > TELLING:

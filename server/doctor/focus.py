@@ -17,6 +17,7 @@ LOOK_COST, WRONG_COST = 2.0, 4.0
 SIZE_LOOK, SIZE_WRONG = 1.2, 1.8  # times larger or smaller than led.radius says
 LEAST_DIAMETER_PX = 3.0  # docs/hardware.md: below that centres are noisier than light demands
 STREAK_LOOK, STREAK_WRONG = 0.6, 2.0  # of the spot's width; up to the first the chain loses nothing that was measured
+BEYOND = 1.1  # times the rig's range, before it is called wrong: robots are found a little farther
 FEWEST = 5  # frames of a robot for its median to tell
 
 
@@ -75,7 +76,7 @@ def check_sizes(found: dict[int, Blur], gathered: Gathered) -> Finding:
             mm = 1e3 * named[worst].radius_m
             advice = f"Measure the light of {rig.robots[worst].id}'s LEDs: it looks like led.radius: {mm / 1e3:.4f}."
             return Finding("spot sizes", graded(apart, SIZE_LOOK, SIZE_WRONG), told, advice)
-    if rig.range_m is not None and not (rig.range_m[0] <= near and far <= rig.range_m[1]):
+    if rig.range_m is not None and (near * BEYOND < rig.range_m[0] or far > BEYOND * rig.range_m[1]):
         advice = f"Set the rig's range to where robots are: it is {rig.range_m[0]:g} to {rig.range_m[1]:g} m."
         return Finding("spot sizes", Verdict.LOOK, told, advice)
     if min(widths) < LEAST_DIAMETER_PX:

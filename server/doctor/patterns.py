@@ -51,29 +51,32 @@ def strengths(rig: Rig, seen: Sightings, told: Whitened, patterns: Floats) -> li
     """Of ``patterns`` (m, 6, 2, p) px; None where too few residuals tell."""
     if float(told.freedom.sum()) < 20 * LEDS:
         return None
-    scores: list[Floats] = []
-    information = np.zeros(patterns.shape[-1])
+    scores, informations = [], []
     for robot in np.unique(seen.robots).tolist():
         rows = np.flatnonzero(seen.robots == robot)
         own = Whitened(*(part[rows] for part in told))
-        blocks, more = _of_robot(rig, seen.take(rows), own, patterns[rows])
-        scores += blocks
-        information += more
-    return [_combined(np.array([score[k] for score in scores]), float(information[k])) for k in range(len(information))]
+        score, information = _of_robot(rig, seen.take(rows), own, patterns[rows])
+        scores.append(score)
+        informations.append(information)
+    return [
+        _combined(np.concatenate(scores)[:, k], np.concatenate(informations)[:, k]) for k in range(scores[0].shape[1])
+    ]
 
 
-def _of_robot(rig: Rig, seen: Sightings, told: Whitened, patterns: Floats) -> tuple[list[Floats], Floats]:
-    """Scores (p,), block by block, and informations (p,), with the robot's own LEDs eliminated."""
+def _of_robot(rig: Rig, seen: Sightings, told: Whitened, patterns: Floats) -> tuple[Floats, Floats]:
+    """Scores and informations (blocks, p), with the robot's own LEDs eliminated."""
     by, leds = explained_by(told, patterns), explained_by(told, by_leds(rig, seen, told))
     matrix = np.einsum("mip,miq->pq", leds, leds) + np.eye(2 * LEDS) / LED_SIGMA_M**2
     left = by - leds @ np.linalg.solve(matrix, np.einsum("mip,miq->pq", leds, by))
-    scores = np.einsum("mip,mi->mp", left, told.residuals)
-    blocks = np.array_split(scores, min(BLOCKS, len(scores)))
-    return [block.sum(axis=0) for block in blocks], np.einsum("mip,mip->p", left, by)
+    blocks = np.array_split(np.arange(len(left)), min(BLOCKS, len(left)))
+    sums = [np.einsum("mip,mi->mp", left, told.residuals), np.einsum("mip,mip->mp", left, by)]
+    score, information = (np.array([part[block].sum(axis=0) for block in blocks]) for part in sums)
+    return score, information
 
 
-def _combined(scores: Floats, information: float) -> Strength:
-    information = max(information, 1e-30)
-    n = len(scores)
-    scatter = float(((scores - scores.mean()) ** 2).sum()) * n / max(n - 1, 1)
-    return Strength(float(scores.sum()) / information, math.sqrt(max(information, scatter)) / information)
+def _combined(scores: Floats, informations: Floats) -> Strength:
+    """Of blocks (n,): what a block's score is beside what the pattern makes of it is its error."""
+    whole, n = max(float(informations.sum()), 1e-30), len(scores)
+    value = float(scores.sum()) / whole
+    scatter = float(((scores - value * informations) ** 2).sum()) * n / max(n - 1, 1)
+    return Strength(value, math.sqrt(max(whole, scatter)) / whole)

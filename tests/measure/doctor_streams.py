@@ -1,5 +1,6 @@
 """Streams of frames for `tests.measure.doctor`: rigs and light of several kinds, and faults staged in them."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
@@ -46,8 +47,9 @@ class Stream:
         scene, rng = Scene(self.true, self.seed, self.look), np.random.default_rng([self.seed, 11])
         for (robot, led), share in self.dimmed.items():
             scene.led_brightness[robot, led] = share
+        gone = rng.choice(np.arange(1, count - 1), math.ceil(self.dropped * count), replace=False)
         for index in range(count):
-            if index and rng.random() < self.dropped:
+            if index in gone:
                 continue
             time_s = index / RATE_HZ
             image = self.brush(scene.render(index, placed(scene, index, time_s)), index)
