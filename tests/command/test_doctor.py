@@ -67,7 +67,7 @@ robots:
         (STRANGER, "robots seen wrong 0 of 1", "is it another rig"),
         (
             DEMO_RIG.read_text().replace("-0.0265, -0.0340", "-0.0265, -0.0345"),
-            "LED positions wrong bravo: LED 0 is 0.50 ± 0.01 mm off",
+            "LED positions wrong bravo: LED 0 is 0.",
             "--robot bravo",
         ),
     ],
