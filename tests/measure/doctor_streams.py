@@ -25,6 +25,7 @@ START_NS = 1_700_000_000_000_000_000
 STAMP_SIGMA_S = 30e-6  # of a healthy camera's stamps
 CALIBRATED_M = 3e-6  # of LEDs after `calibrate leds`
 CALIBRATED_F = 2e-4  # of the focal length after `calibrate camera`
+COMPRESSED, QUALITY = 7, 90  # every so many streams come as JPEG
 FLOOR_M = 1.3  # of fixed constellations below the camera
 
 
@@ -36,7 +37,7 @@ class Stream:
     told: Rig
     look: Look
     seed: int
-    brush: Callable[[Image, int], Image] = lambda image, _: image
+    brush: Callable[[Image, int], Image]
     dimmed: dict[tuple[int, int], float] = field(default_factory=dict)
     stamp_sigma_s: float = STAMP_SIGMA_S
     dropped: float = 0.0
@@ -117,7 +118,17 @@ def healthy(seed: int) -> Stream:
         camera=with_focal(true.camera, 1.0 + CALIBRATED_F * rng.normal()),
         robots=tuple(replace(robot, leds=robot.leds + CALIBRATED_M * rng.normal(size=(6, 3))) for robot in true.robots),
     )
-    return Stream(true, told, look_of(seed), seed)
+    return Stream(true, told, look_of(seed), seed, _compressed if seed % COMPRESSED == 3 else _as_it_is)
+
+
+def _as_it_is(image: Image, _: int) -> Image:
+    return image
+
+
+def _compressed(image: Image, _: int) -> Image:
+    """As cameras on a slow link send it."""
+    packed = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
+    return np.asarray(cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE), np.uint8)
 
 
 def with_focal(camera: Camera, share: float) -> Camera:
