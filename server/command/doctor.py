@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import itertools
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,6 +24,7 @@ from asterism.server.doctor.gather import Gathered, Gatherer
 from asterism.server.doctor.host import check_disk, check_port
 from asterism.server.doctor.live import page, watch
 from asterism.server.doctor.page import summary, table_of
+from asterism.server.doctor.reading import read_live
 from asterism.server.service.say import say
 from asterism.server.sources.camera import Camera
 from asterism.server.sources.open_source import open_source
@@ -69,10 +69,9 @@ def run(options: argparse.Namespace) -> int:
     if options.watch:
         return _watch(rig, source)
     gatherer = Gatherer(rig)
-    with _taking(source) as frames:
-        count = round(options.seconds * source.rate_hz)
-        for frame in progress(_first(frames, options.seconds, source.live), count, "looking"):
-            gatherer.add(frame)
+    count = round(options.seconds * source.rate_hz)
+    for frame in progress(_looked_at(source, options.seconds, gatherer), count, "looking"):
+        gatherer.add(frame)
     findings = _findings(options, gatherer.gathered())
     console = Console()
     if not console.is_terminal:
@@ -93,39 +92,30 @@ def _findings(options: argparse.Namespace, gathered: Gathered) -> list[Finding]:
     ]
 
 
-@contextlib.contextmanager
-def _taking(source: Source) -> Iterator[Iterator[Frame]]:
-    """The source's frames; a camera is let go of behind them."""
-    frames = source.frames()
-    try:
-        yield frames
-    finally:
-        if isinstance(source, Camera):
-            source.close()
-            next(frames, None)
+def _looked_at(source: Source, seconds: float, gatherer: Gatherer) -> Iterator[Frame]:
+    """The frames of the first seconds: of a camera those that there is time for, else all, by their own times.
 
-
-def _first(frames: Iterator[Frame], seconds: float, live: bool) -> Iterator[Frame]:
-    """Those of the first seconds: by the frames' own times, of a camera by the clock as well, whatever its stamps say.
-
-    Raises InputError where there is none.
+    Raises InputError where there is none, WorldError where none comes.
     """
-    first = next(frames, None)
-    if first is None:
-        raise InputError("the source has no frames")
-    began = time.monotonic()
-    for frame in itertools.chain([first], frames):
-        if live and time.monotonic() - began > seconds:
+    if isinstance(source, Camera):
+        yield from read_live(source, seconds, gatherer.note)
+        return
+    end_ns = None
+    for frame in source.frames():
+        end_ns = frame.exposed_ns + 1e9 * seconds if end_ns is None else end_ns
+        if frame.exposed_ns >= end_ns:
             return
-        if not live and frame.exposed_ns - first.exposed_ns >= 1e9 * seconds:
-            return
+        gatherer.note(frame)
         yield frame
+    if end_ns is None:
+        raise InputError(f"{source.name}: has no frames")
 
 
 def _watch(rig: Rig, source: Source) -> int:
     """Draw until Ctrl-C or the end of the source; a film is played as fast as it was taken."""
     console = Console()
-    with _taking(source) as taken, contextlib.suppress(KeyboardInterrupt):
+    with contextlib.suppress(KeyboardInterrupt):
+        taken = source.frames()
         frames = taken if source.live else paced(taken, None, lambda: False, SessionClock())
         if not console.is_terminal:
             for now in watch(rig, frames):

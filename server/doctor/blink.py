@@ -34,10 +34,13 @@ class Delay(NamedTuple):
 def blinking(pictures: Pictures) -> list[tuple[float, float, Floats]]:
     """Lights that are seen in part of the frames at one place: x, y px, and whether each frame (n,) shows it."""
     n = len(pictures.spots)
-    cells: dict[tuple[int, int], list[tuple[int, float, float]]] = {}
+    cells: dict[tuple[float, int, int], list[tuple[int, float, float]]] = {}
     for frame, spots in enumerate(pictures.spots):
         for x, y in spots[np.isin(spots[:, 3], SHOWN), :2].tolist():
-            cells.setdefault((round(x / CELL_PX), round(y / CELL_PX)), []).append((frame, x, y))
+            # Two nets of cells, so that a light on the border of one lies within the other's.
+            for shift in (0.0, 0.5):
+                cell = (shift, round(x / CELL_PX + shift), round(y / CELL_PX + shift))
+                cells.setdefault(cell, []).append((frame, x, y))
     found = []
     for rows in cells.values():
         lit = np.zeros(n)

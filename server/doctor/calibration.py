@@ -2,7 +2,8 @@
 
 A wrong lens bends what poses cannot take up. How much of that residuals show is asked one parameter at a time: focal
 length, and the first coefficient of distortion. Robots' LEDs are free to be a little off meanwhile. Plates are small,
-so a focal length shows weakly; how large an error these frames would have shown is told.
+so a focal length shows weakly, in plates that are seen near and far and tilted to all sides best; how large an error
+these frames would have shown is told.
 """
 
 import math
@@ -80,7 +81,7 @@ def check_calibration(gathered: Gathered, camera_file: Path, now_s: float, place
     if days > OLD_DAYS:
         return Finding(name, Verdict.LOOK, f"{age}{told}{seen}", again)
     if limit > TELLING:
-        advice = "A constellation in view that stands still (`fixed` in the rig) would show 0.1 %."
+        advice = "Show a robot by hand from all sides for 10 s, or have one in view that stands still (`fixed`)."
         return Finding(name, Verdict.UNTOLD, f"{age}{told}{seen}", advice)
     return Finding(name, Verdict.GOOD, f"{age}{told}{seen}")
 

@@ -18,7 +18,7 @@ from asterism.server.doctor.timing import check_jitter, check_lost, check_rate, 
 def examine(gathered: Gathered, rig_name: str, camera_file: Path, now_s: float) -> list[Finding]:
     """What the frames tell. ``camera_file`` is the calibration's, whose age is told; ``now_s`` since the epoch."""
     found = blurs(gathered.cuts, gathered.rig)
-    stamps, place = stamps_of(gathered.pictures), judge_place(gathered.rig, gathered.sightings)
+    stamps, place = stamps_of(gathered.times), judge_place(gathered.rig, gathered.sightings)
     return [
         check_robots(gathered),
         check_focus(found, gathered.rig),

@@ -21,14 +21,20 @@ Ints = NDArray[np.int64]
 STEP = 4  # every so many rows and columns are looked at for the share of bright pixels
 
 
-class Pictures(NamedTuple):
-    """n frames: ``exposed_ns``, ``indices``, ``clocks`` (n,); ``bright`` (n,) the share of pixels that are as good as
-    saturated; ``fates`` of their spots, counted; ``spots``, of each its (k, 4) x, y px, height, fate of all spots.
-    """
+class Times(NamedTuple):
+    """Of all n frames that came, looked at or not: ``exposed_ns``, ``indices`` and ``clocks`` (n,)."""
 
     exposed_ns: Ints
     indices: Ints
     clocks: Ints
+
+
+class Pictures(NamedTuple):
+    """n frames that were looked at: ``exposed_ns`` (n,); ``bright`` (n,) the share of pixels that are as good as
+    saturated; ``fates`` of their spots, counted; ``spots``, of each its (k, 4) x, y px, height, fate of all spots.
+    """
+
+    exposed_ns: Ints
     bright: Floats
     fates: list[Counter[int]]
     spots: list[Floats]
@@ -79,6 +85,7 @@ class Gathered(NamedTuple):
     """All that the frames told. ``cuts`` are some LEDs' pixels, ``tally`` is what a server would keep of them."""
 
     rig: Rig
+    times: Times
     pictures: Pictures
     sightings: Sightings
     cuts: list[Cut]
@@ -95,9 +102,14 @@ class Gatherer:
         self.cutter = Cutter(rig)
         T_world_camera = rig.T_world_camera or Pose.identity()
         self._T_camera_parent = T_world_camera.inverse()
-        self._pictures: list[tuple[int, int, int, float, Counter[int], Floats]] = []
+        self._times: list[tuple[int, int, int]] = []
+        self._pictures: list[tuple[int, float, Counter[int], Floats]] = []
         self._seen: list[tuple[int, int, Pose]] = []
         self._numbers: list[Floats] = []
+
+    def note(self, frame: Frame) -> None:
+        """Keep a frame's stamp; of every frame that came, in order."""
+        self._times.append((frame.exposed_ns, frame.index, int(frame.clock)))
 
     def add(self, frame: Frame) -> FrameResult:
         """Localize one frame and keep what it tells. Raises InputError as `localize` does."""
@@ -107,7 +119,7 @@ class Gatherer:
         bright = float((frame.image[::STEP, ::STEP] >= BRIGHT).mean())
         spots = np.column_stack([blobs.centres_px, blobs.heights, blobs.fates.astype(np.float64)])
         fates = Counter(blobs.fates.tolist())
-        self._pictures.append((frame.exposed_ns, frame.index, int(frame.clock), bright, fates, spots))
+        self._pictures.append((frame.exposed_ns, bright, fates, spots))
         for number, robot in enumerate(self.rig.robots):
             answer = result.answers[robot.id]
             if isinstance(answer, PoseEstimate):
@@ -129,14 +141,19 @@ class Gatherer:
         parts = np.split(numbers, (2, 4, 7, 8, 9, 10), axis=2)
         flat = [part[..., 0] if 3 <= k <= 5 else part for k, part in enumerate(parts)]
         whole = np.array(frames, np.int64), np.array(robots, np.int64)
+        times = np.array(self._times, np.int64).reshape(-1, 3).T
         return Gathered(
-            self.rig, self._all_pictures(), Sightings(*whole, list(poses), *flat), self.cutter.cuts, self.tally
+            self.rig,
+            Times(*times),
+            self._all_pictures(),
+            Sightings(*whole, list(poses), *flat),
+            self.cutter.cuts,
+            self.tally,
         )
 
     def _all_pictures(self) -> Pictures:
-        columns = list(zip(*self._pictures, strict=True)) if self._pictures else [()] * 6
-        times, indices, clocks = (np.array(column, np.int64) for column in columns[:3])
-        return Pictures(times, indices, clocks, np.array(columns[3]), list(columns[4]), list(columns[5]))
+        times, bright, fates, spots = zip(*self._pictures, strict=True) if self._pictures else ((), (), (), ())
+        return Pictures(np.array(times, np.int64), np.array(bright, np.float64), list(fates), list(spots))
 
 
 def _by_led(answer: PoseEstimate, result: FrameResult) -> Floats:

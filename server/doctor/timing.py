@@ -6,7 +6,7 @@ import numpy as np
 
 from asterism.protocol.messages import Clock
 from asterism.server.doctor.finding import Finding, Verdict, graded
-from asterism.server.doctor.gather import Gathered, Ints, Pictures
+from asterism.server.doctor.gather import Gathered, Ints, Times
 
 FEWEST = 10  # frames
 PHASE_GAIN, PERIOD_GAIN = 0.25, 0.01  # of a stamp's error, in following the beat
@@ -29,20 +29,20 @@ class Stamps(NamedTuple):
     counted: bool
 
 
-def stamps_of(pictures: Pictures) -> Stamps | None:
+def stamps_of(times: Times) -> Stamps | None:
     """What stamps and numbers tell; None of too few frames."""
-    if len(pictures.exposed_ns) < FEWEST:
+    if len(times.exposed_ns) < FEWEST:
         return None
-    gaps, steps = np.diff(pictures.exposed_ns), np.diff(pictures.indices)
+    gaps, steps = np.diff(times.exposed_ns), np.diff(times.indices)
     backwards = int((gaps <= 0).sum())
     if backwards:
         return Stamps(0.0, 0, 0.0, backwards, False)
-    beats = beats_of(pictures.exposed_ns)
+    beats = beats_of(times.exposed_ns)
     period = float(gaps.sum()) / max(float(beats.sum()), 1.0)
     # A gap's error is that of two stamps.
     jitter = float(np.sqrt(np.mean((gaps - beats * period) ** 2) / 2.0))
     missing = max(int(beats.sum()) - len(gaps), int(np.maximum(steps - 1, 0).sum()), 0)
-    counted = int(pictures.clocks[0]) == int(Clock.FILE) and float(np.ptp(gaps / steps)) <= COUNTED_NS
+    counted = int(times.clocks[0]) == int(Clock.FILE) and float(np.ptp(gaps / steps)) <= COUNTED_NS
     return Stamps(period * 1e-9, missing, jitter * 1e-9, 0, counted)
 
 
@@ -83,7 +83,7 @@ def check_lost(gathered: Gathered, found: Stamps | None) -> Finding:
     name = "lost frames"
     if found is None or not found.period_s:
         return Finding(name, Verdict.UNTOLD, f"fewer than {FEWEST} frames")
-    n = len(gathered.pictures.exposed_ns)
+    n = len(gathered.times.exposed_ns)
     share = found.lost / (n + found.lost)
     if not found.lost:
         return Finding(name, Verdict.GOOD, f"none of {n}")
@@ -102,7 +102,7 @@ def check_jitter(gathered: Gathered, found: Stamps | None) -> Finding:
         return Finding(name, Verdict.WRONG, told, "Use the camera's own clock, and let nothing set the computer's.")
     if found.counted:
         return Finding(name, Verdict.UNTOLD, "counted, not measured: a film of images has no stamps")
-    clock = Clock.Name(int(gathered.pictures.clocks[-1]))
+    clock = Clock.Name(int(gathered.times.clocks[-1]))
     told = f"{clock}'s jitter {found.jitter_s * 1e3:.2f} ms (one sigma)"
     verdict = graded(found.jitter_s, JITTER_LOOK_S, JITTER_WRONG_S)
     if verdict == Verdict.GOOD:

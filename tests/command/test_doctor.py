@@ -2,15 +2,21 @@
 
 import io
 import socket
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 from rich.console import Console
 
+from asterism.protocol.messages import Clock
 from asterism.protocol.rig import load_rig
 from asterism.server import Frame
 from asterism.server.__main__ import main
+from asterism.server.command import doctor
 from asterism.server.doctor import host
 from asterism.server.doctor.calibration import check_calibration
 from asterism.server.doctor.finding import Finding, Verdict
@@ -18,6 +24,7 @@ from asterism.server.doctor.live import page, watch
 from asterism.server.doctor.page import summary, table_of
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.simulation.simulate import Scene
+from asterism.server.sources.camera import Camera, Taken
 from tests.command.test_command_line import nonsense, refused
 from tests.doctor.drawn import gathered, nobody
 from tests.rigs import make_camera, make_rig
@@ -121,6 +128,39 @@ def test_bad_input_gets_one_sentence_and_exit_code_2(
     for file in nonsense(tmp_path):
         refused(capsys, "doctor", file, frames)
         refused(capsys, "doctor", rig, file)
+
+
+class Steady:
+    """A camera that delivers one image again and again, 10 ms later each by its own clock."""
+
+    def __init__(self, image: NDArray[np.uint8]) -> None:
+        self._image, self._start_ns, self._count, self.closed = image, time.monotonic_ns(), 0, False
+
+    def read(self) -> Taken:
+        """The next; every tenth is lost."""
+        threading.Event().wait(0.005)
+        self._count += 2 if self._count % 10 == 8 else 1
+        return Taken(self._image, self._start_ns + 10_000_000 * self._count, Clock.CAMERA)
+
+    def close(self) -> None:
+        """Let go."""
+        self.closed = True
+
+
+def test_a_live_camera_is_looked_at_for_its_time_and_let_go_of(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = load_rig(DEMO_RIG)
+    scene = Scene(rig, 1)
+    device = Steady(scene.render(0, scene.truth(0, 0.0)))
+    camera = Camera("camera", lambda: device, rig, lambda _: None)
+    monkeypatch.setattr(doctor, "open_source", lambda *_: camera)
+    assert main(["doctor", str(DEMO_RIG), "0", "--seconds", "0.5"]) == 1
+    told = " ".join(capsys.readouterr().out.split())
+    assert device.closed
+    assert "frame rate wrong 100.00 Hz of 60 asked for" in told
+    assert "lost frames wrong" in told
+    assert "time stamps good CAMERA's jitter 0.00 ms" in told
 
 
 def test_a_camera_that_is_not_there_is_exit_code_1(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.messages import Clock, Fate
 from asterism.protocol.rig import Rig
-from asterism.server.doctor.gather import Gathered, Pictures, Sightings
+from asterism.server.doctor.gather import Gathered, Pictures, Sightings, Times
 from asterism.server.service.tally import Tally
 from tests.helpers import facing_pose
 
@@ -55,8 +55,7 @@ def pictures(frames: int, spots: list[Floats] | None = None, times_ns: Floats | 
     times = PERIOD_NS * np.arange(frames) if times_ns is None else times_ns
     spots = spots or [np.empty((0, 4))] * len(times)
     fates = [Counter(int(fate) for fate in rows[:, 3]) for rows in spots]
-    clocks = np.full(len(times), int(Clock.CAMERA))
-    return Pictures(times.astype(np.int64), np.arange(len(times)), clocks, np.zeros(len(times)), fates, spots)
+    return Pictures(times.astype(np.int64), np.zeros(len(times)), fates, spots)
 
 
 def nobody(rig: Rig) -> Sightings:
@@ -67,7 +66,10 @@ def nobody(rig: Rig) -> Sightings:
 def gathered(rig: Rig, seen: Sightings, told: Pictures | None = None) -> Gathered:
     """As the checks take it."""
     frames = int(seen.frames.max()) + 1 if len(seen.frames) else 0
-    return Gathered(rig, told or pictures(frames), seen, [], Tally(robot.id for robot in rig.robots))
+    told = told or pictures(frames)
+    n = len(told.exposed_ns)
+    times = Times(told.exposed_ns, np.arange(n), np.full(n, int(Clock.CAMERA)))
+    return Gathered(rig, times, told, seen, [], Tally(robot.id for robot in rig.robots))
 
 
 def spot(x: float, y: float, fate: int = int(Fate.UNEXPLAINED), height: float = 150.0) -> Floats:

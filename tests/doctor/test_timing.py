@@ -26,7 +26,7 @@ def stamped(times_ns: Floats) -> Gathered:
 
 def verdicts(told: Gathered) -> tuple[Verdict, ...]:
     """On rate, lost frames and stamps."""
-    found = stamps_of(told.pictures)
+    found = stamps_of(told.times)
     return tuple(check(told, found).verdict for check in (check_rate, check_lost, check_jitter))
 
 
@@ -40,7 +40,7 @@ def test_lost_frames_are_counted_and_change_neither_rate_nor_jitter(rng: np.rand
         inner = np.sort(rng.choice(np.arange(1, 119), 118 - lost, replace=False))
         told = stamped(EVEN[np.concatenate([[0], inner, [119]])])
         assert verdicts(told) == (GOOD, verdict, GOOD)
-        found = stamps_of(told.pictures)
+        found = stamps_of(told.times)
         assert found is not None
         assert found.lost == lost
 
@@ -48,7 +48,7 @@ def test_lost_frames_are_counted_and_change_neither_rate_nor_jitter(rng: np.rand
 def test_jitter_is_told_as_large_as_it_is(rng: np.random.Generator) -> None:
     for jitter_s, verdict in ((1e-3, LOOK), (3e-3, WRONG)):
         told = stamped(EVEN + 1e9 * jitter_s * rng.normal(size=120))
-        found = stamps_of(told.pictures)
+        found = stamps_of(told.times)
         assert found is not None
         assert found.jitter_s == pytest.approx(jitter_s, rel=0.25)
         assert verdicts(told)[2] == verdict
@@ -67,10 +67,10 @@ def test_time_that_runs_backwards_is_wrong() -> None:
 
 def test_of_a_film_without_times_of_its_own_nothing_is_claimed() -> None:
     told = stamped(EVEN)
-    film = told.pictures._replace(clocks=np.full(120, int(Clock.FILE)))
-    assert verdicts(told._replace(pictures=film)) == (UNTOLD, GOOD, UNTOLD)
+    film = told.times._replace(clocks=np.full(120, int(Clock.FILE)))
+    assert verdicts(told._replace(times=film)) == (UNTOLD, GOOD, UNTOLD)
     missing = film._replace(exposed_ns=film.exposed_ns[::3], indices=film.indices[::3])
-    assert verdicts(told._replace(pictures=missing))[1] == WRONG
+    assert verdicts(told._replace(times=missing))[1] == WRONG
 
 
 def lit_by(times_ns: Floats, delay_s: float, period_ns: float) -> Floats:

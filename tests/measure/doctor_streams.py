@@ -15,6 +15,7 @@ from asterism.protocol.messages import Clock
 from asterism.protocol.rig import Rig, Robot, load_rig
 from asterism.server import Frame
 from asterism.server.simulation.demo_rig import DEMO_RIG
+from asterism.server.simulation.hand_film import hand_pose
 from asterism.server.simulation.measured_rig import draw_rig
 from asterism.server.simulation.simulate import Look, Scene, Truth
 from tests.rigs import make_camera, make_rig, random_layouts
@@ -25,6 +26,7 @@ START_NS = 1_700_000_000_000_000_000
 STAMP_SIGMA_S = 30e-6  # of a healthy camera's stamps
 CALIBRATED_M = 3e-6  # of LEDs after `calibrate leds`
 CALIBRATED_F = 2e-4  # of the focal length after `calibrate camera`
+LONGER = 5  # times
 COMPRESSED, QUALITY = 7, 90  # every so many streams come as JPEG
 FLOOR_M = 1.3  # of fixed constellations below the camera
 
@@ -41,10 +43,12 @@ class Stream:
     dimmed: dict[tuple[int, int], float] = field(default_factory=dict)
     stamp_sigma_s: float = STAMP_SIGMA_S
     dropped: float = 0.0
+    by_hand: bool = False  # the first robot alone, from all sides, for LONGER
     age_days: float = 30.0
 
     def frames(self, count: int) -> Iterator[Frame]:
         """So many, by a camera's clock."""
+        count *= LONGER if self.by_hand else 1
         scene, rng = Scene(self.true, self.seed, self.look), np.random.default_rng([self.seed, 11])
         for (robot, led), share in self.dimmed.items():
             scene.led_brightness[robot, led] = share
@@ -53,7 +57,8 @@ class Stream:
             if index in gone:
                 continue
             time_s = index / RATE_HZ
-            image = self.brush(scene.render(index, placed(scene, index, time_s)), index)
+            truth = shown(scene, index, count) if self.by_hand else placed(scene, index, time_s)
+            image = self.brush(scene.render(index, truth), index)
             stamp_ns = START_NS + round(1e9 * (time_s + self.stamp_sigma_s * rng.normal()))
             yield Frame(image, stamp_ns, index, f"{index:06d}", stamp_ns, Clock.CAMERA, 1)
 
@@ -66,6 +71,12 @@ def placed(scene: Scene, index: int, time_s: float) -> list[Truth]:
         replace(told, T_camera_robot=T_camera_world @ robot.T_world_fixed, after=None) if robot.T_world_fixed else told
         for told, robot in zip(scene.truth(index, time_s), rig.robots, strict=True)
     ]
+
+
+def shown(scene: Scene, index: int, count: int) -> list[Truth]:
+    """The first robot, held before the camera."""
+    robot = scene.rig.robots[0]
+    return [Truth(robot.id, hand_pose(scene.rig, robot, index, count, scene.seed), (True,) * 6)]
 
 
 def rig_of(seed: int) -> Rig:
@@ -228,6 +239,12 @@ def _rolling(stream: Stream, line_us: float) -> Stream:
     return replace(stream, true=replace(stream.true, capture=replace(stream.true.capture, line_time_us=line_us)))
 
 
+def by_hand(stream: Stream, focal: float = 0.0) -> Stream:
+    """One robot's rig, that robot shown from all sides."""
+    true, told = (replace(rig, robots=rig.robots[:1]) for rig in (stream.true, stream.told))
+    return _stale(replace(stream, true=true, told=told, by_hand=True), focal)
+
+
 def _aged(stream: Stream, days: float) -> Stream:
     return replace(stream, age_days=days)
 
@@ -254,6 +271,7 @@ FAULTS = {
     "jittering stamps, s": Fault(_jittering, (0.5e-3, 1e-3, 3e-3), "time stamps"),
     "stale: focal length, by residuals": Fault(_stale, (0.003, 0.01, 0.03), "calibration"),
     "stale: focal length, fixed in view": Fault(_stale_standing, (0.001, 0.003, 0.01), "calibration", "camera's place"),
+    "stale: focal length, by hand": Fault(by_hand, (0.003, 0.006, 0.01), "calibration"),
     "rolling shutter, us a row": Fault(_rolling, (5.0, 15.0, 40.0), "rolling shutter"),
     "stale: age, days": Fault(_aged, (500.0,), "calibration"),
 }
