@@ -5,6 +5,7 @@ frames show it, against their stamps taken by the period, is off by the delay; w
 finely as stamps fall around there. It is told within half a period to either side: whole periods cannot be told.
 """
 
+from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ LIT = (0.25, 0.75)  # share of the frames that show it
 FEWEST = 40  # frames
 MOST_WRONG = 0.05  # share of the frames that contradict the best delay: jitter, and the frames in which it changes
 FINE = 2000  # delays that are tried
+FINEST = 1000  # the denominator of a frequency
 SHOWN = (int(Fate.UNEXPLAINED), int(Fate.LED))
 
 
@@ -50,16 +52,23 @@ def blinking(pictures: Pictures) -> list[tuple[float, float, Floats]]:
     return found
 
 
-def delay_of(exposed_ns: Ints, lit: Floats, period_ns: float) -> tuple[float, float] | None:
+def phases(exposed_ns: Ints, blink_hz: float) -> Floats:
+    """Where in their periods stamps (n,) are, 0 to 1; in whole numbers, since there are billions of periods before."""
+    hz = Fraction(blink_hz).limit_denominator(FINEST)
+    whole = 1_000_000_000 * hz.denominator
+    return np.array([(time * hz.numerator % whole) / whole for time in exposed_ns.tolist()])
+
+
+def delay_of(exposed_ns: Ints, lit: Floats, blink_hz: float) -> tuple[float, float] | None:
     """The delay and half the width of what fits as well, s; None where no delay explains which frames are ``lit``."""
-    phase = (exposed_ns % round(period_ns)) / period_ns
+    phase = phases(exposed_ns, blink_hz)
     trials = np.arange(FINE) / FINE - 0.5
     told = ((phase[None] - trials[:, None]) % 1.0 < 0.5) != (lit[None] > 0.5)
     wrong = told.sum(axis=1)
     best = np.flatnonzero(wrong == wrong.min())
     if wrong.min() > MOST_WRONG * len(lit) or np.ptp(best) != len(best) - 1:
         return None
-    scale = period_ns * 1e-9
+    scale = 1.0 / blink_hz
     return float(trials[best].mean() * scale), float((0.5 * len(best) / FINE + 0.5 / FINE) * scale)
 
 
@@ -75,7 +84,7 @@ def check_delay(gathered: Gathered, blink_hz: float | None) -> Finding:
     delays = [
         Delay(*delay, x, y)
         for x, y, lit in blinking(pictures)
-        if (delay := delay_of(pictures.exposed_ns, lit, 1e9 / blink_hz)) is not None
+        if (delay := delay_of(pictures.exposed_ns, lit, blink_hz)) is not None
     ]
     if not delays:
         advice = f"Let an LED in view be on for the first half of every 1/{blink_hz:g} s of this computer's clock."

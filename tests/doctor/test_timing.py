@@ -1,6 +1,7 @@
 """Rates, lost frames, stamps; and the delay of stamps by a light that blinks."""
 
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -73,30 +74,26 @@ def test_of_a_film_without_times_of_its_own_nothing_is_claimed() -> None:
     assert verdicts(told._replace(times=missing))[1] == WRONG
 
 
-def lit_by(times_ns: Floats, delay_s: float, period_ns: float) -> Floats:
-    """Which frames show a light that is on in the first half of every period, stamped so late."""
-    phase = ((times_ns - 1e9 * delay_s) % period_ns) / period_ns
-    return (phase < 0.5).astype(np.float64)
+def lit_by(times_ns: Floats, delay_s: float) -> Floats:
+    """Which frames show a light of 7.3 Hz that is on in the first half of every period, stamped so late."""
+    delay_ns = round(1e9 * delay_s)
+    return np.array([float((Fraction(int(time) - delay_ns, 10**9) * Fraction(73, 10)) % 1 < 0.5) for time in times_ns])
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 2.5e-3, -1.2e-3, 8e-3])
 def test_the_delay_is_told_within_what_is_told_of_it(delay_s: float) -> None:
-    period_ns = 1e9 / 7.3
-    lit = lit_by(EVEN - EVEN[0], delay_s, period_ns)
-    found = delay_of(EVEN - EVEN[0], lit, period_ns)
+    found = delay_of(EVEN, lit_by(EVEN, delay_s), 7.3)
     assert found is not None
     assert abs(found[0] - delay_s) <= found[1] + 1e-9
     assert found[1] < 2e-3
 
 
 def test_a_blinking_light_among_others_sets_the_delay() -> None:
-    times, period_ns = EVEN, 1e9 / 7.3
-    lit = lit_by(times % round(period_ns), 3e-3, round(period_ns))
-    rows = [np.concatenate([spot(200, 100), *([spot(400.2, 300.1)] if on else [])]) for on in lit]
-    told = gathered(RIG, nobody(RIG), pictures(0, rows, times))
+    rows = [np.concatenate([spot(200, 100), *([spot(402, 300.1)] if on else [])]) for on in lit_by(EVEN, 3e-3)]
+    told = gathered(RIG, nobody(RIG), pictures(0, rows, EVEN))
     finding = check_delay(told, 7.3)
     assert finding.verdict == LOOK
-    assert "LED at 400, 300 px" in finding.measured
+    assert "LED at 402, 300 px" in finding.measured
     assert float(finding.advice.split("delay_us: ")[1].split()[0]) == pytest.approx(3100.0, abs=1000.0)
     assert check_delay(told, 5.0).verdict == UNTOLD
     assert check_delay(told, None).verdict == UNTOLD
