@@ -29,14 +29,11 @@ GAIN = 0.035  # variance a grey level of light, see centres.centre
 
 
 class Blur(NamedTuple):
-    """``blur_px`` sigma, pixels included; ``radius_m`` of the LEDs' light, ``radius_px`` as it is seen in the mean;
-    ``chi2`` per pixel.
-    """
+    """``blur_px`` sigma, pixels included; ``radius_m`` of the LEDs' light, ``radius_px`` as it is seen in the mean."""
 
     blur_px: float
     radius_m: float
     radius_px: float
-    chi2: float
 
 
 class _Pixels(NamedTuple):
@@ -64,10 +61,10 @@ def fit_blur(cuts: Sequence[Cut], radius_m: float | None) -> Blur | None:
     pixels, expected = _laid_out(usable), math.log(radius_m or seen)
     starts = np.log(np.column_stack([[seen, math.exp(expected), seen], START_BLURS]))
     # Saturated spots have more than one minimum.
-    cost, p = min((_descend(pixels, start, expected) for start in starts), key=lambda end: end[0])
+    _, p = min((_descend(pixels, start, expected) for start in starts), key=lambda end: end[0])
     radius, blur = np.exp(p)
     scale = float(np.mean([cut.px_per_m for cut in usable]))
-    return Blur(float(blur), float(radius), float(radius * scale), cost / len(pixels.values))
+    return Blur(float(blur), float(radius), float(radius * scale))
 
 
 def _laid_out(cuts: Sequence[Cut]) -> _Pixels:

@@ -15,6 +15,7 @@ from asterism.server.segmentation.spot_table import NOISE, SEMI_A, SEMI_B, TOUCH
 
 MOST = 6  # sightings of a robot
 UNKNOWN = -1  # the robot of spots that are nobody's
+MOST_UNKNOWN, ROUND = 12, 2.0  # spots that are nobody's, and how long they may be for their width
 MARGIN = 3  # px around a spot's own window: the foot of a wide blur
 WIDEST = 96  # px of a window: wider ones are no spots
 NOBODYS = (Fate.UNEXPLAINED, Fate.TOO_LARGE, Fate.MISSHAPEN, Fate.TOO_FAINT, Fate.ELONGATED)
@@ -26,7 +27,6 @@ class Cut(NamedTuple):
     """
 
     robot: int
-    led: int
     distances: Floats
     values: Floats
     px_per_m: float
@@ -61,17 +61,16 @@ class Cutter:
             if spot[TOUCHING] == 0.0:
                 centre = pose.map(self._rig.robots[robot].leds[led])
                 by_plane = pixels_by_plane(self._rig, centre, pose.rotation @ axes)
-                self._cut(image, spot, blobs.centres_px[row], robot, led, by_plane)
+                self._cut(image, spot, blobs.centres_px[row], robot, by_plane)
 
     def add_unknown(self, image: NDArray[np.uint8], blobs: Blobs) -> None:
         """The brightest spots of a frame in which nobody was found, as round as they look."""
         if not self._takes(UNKNOWN):
             return
-        rows = [k for k in np.argsort(-blobs.heights)[:24].tolist() if blobs.fates[k] in NOBODYS]
-        for led, row in enumerate(rows[:12]):
-            spot = blobs.table[row]
-            if spot[SEMI_A] < 2.0 * spot[SEMI_B]:
-                self._cut(image, spot, spot[[X, Y]], UNKNOWN, led, np.eye(2) * math.sqrt(spot[SEMI_A] * spot[SEMI_B]))
+        rows = [k for k in np.argsort(-blobs.heights)[: 2 * MOST_UNKNOWN].tolist() if blobs.fates[k] in NOBODYS]
+        for spot in blobs.table[rows[:MOST_UNKNOWN]]:
+            if spot[SEMI_A] < ROUND * spot[SEMI_B]:
+                self._cut(image, spot, spot[[X, Y]], UNKNOWN, np.eye(2) * math.sqrt(spot[SEMI_A] * spot[SEMI_B]))
 
     def _takes(self, robot: int) -> bool:
         """Whether this sighting is one to keep: every so many, the farther apart the longer it goes on."""
@@ -85,9 +84,7 @@ class Cutter:
             return True
         return False
 
-    def _cut(
-        self, image: NDArray[np.uint8], spot: Floats, centre: Floats, robot: int, led: int, by_plane: Floats
-    ) -> None:
+    def _cut(self, image: NDArray[np.uint8], spot: Floats, centre: Floats, robot: int, by_plane: Floats) -> None:
         height, width = image.shape
         x0, x1 = max(int(spot[WX0]) - MARGIN, 0), min(int(spot[WX1]) + MARGIN, width)
         y0, y1 = max(int(spot[WY0]) - MARGIN, 0), min(int(spot[WY1]) + MARGIN, height)
@@ -99,7 +96,7 @@ class Cutter:
         # A tilted disc is a circle in coordinates that undo the tilt and keep the area.
         round_off = off @ (scale * np.linalg.inv(by_plane)).T
         values = image[y0:y1, x0:x1].ravel().astype(np.float64)
-        cut = Cut(robot, led, np.hypot(*round_off.T), values, scale, float(spot[NOISE]))
+        cut = Cut(robot, np.hypot(*round_off.T), values, scale, float(spot[NOISE]))
         self._kept[robot][-1].append(cut)
 
 

@@ -55,7 +55,7 @@ def _unknown(gathered: Gathered) -> Finding:
     spots = np.concatenate([np.empty((0, 4)), *gathered.pictures.spots])
     heights = spots[~np.isin(spots[:, 3], (int(Fate.TOO_SMALL), int(Fate.MASKED))), 2]
     if not len(heights):
-        advice = "Are the LEDs on, is the lens uncovered, the exposure long enough?"
+        advice = "Are the LEDs on, is the lens uncovered and about in focus, the exposure long enough?"
         return Finding("exposure", Verdict.WRONG, "no light stands out of the image", advice)
     height = float(np.quantile(heights, 0.8))
     if height < 30.0:

@@ -1,6 +1,5 @@
 """What a check found: a verdict, what was measured, what to do."""
 
-from collections.abc import Callable
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -31,6 +30,3 @@ class Finding(NamedTuple):
 def graded(value: float, look: float, wrong: float) -> Verdict:
     """The verdict on what is the worse the larger it is."""
     return Verdict.WRONG if value >= wrong else Verdict.LOOK if value >= look else Verdict.GOOD
-
-
-Check = Callable[..., Finding]

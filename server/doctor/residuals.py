@@ -57,12 +57,6 @@ def explained_by(told: Whitened, by: Floats) -> Floats:
     return _without(flat, told.away) * (told.freedom > 0)[:, None, None]
 
 
-def chi2_per_freedom(told: Whitened) -> float:
-    """1 where the spots' covariances say all; nan where nothing is free."""
-    free = float(told.freedom.sum())
-    return float((told.residuals**2).sum()) / free if free else float("nan")
-
-
 def _without(columns: Floats, away: Floats) -> Floats:
     """Columns (m, 12, p) less their part in the span of ``away`` (m, 12, 6)."""
     left: Floats = columns - away @ (away.transpose(0, 2, 1) @ columns)

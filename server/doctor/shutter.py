@@ -5,8 +5,6 @@ a pattern of the residuals: every LED's own speed times how far its row is from 
 seen nearly from the front takes up more, so what is found may be too small, and nothing found is no proof.
 """
 
-import warnings
-
 import numpy as np
 
 from asterism.protocol.geometry import Floats
@@ -25,9 +23,7 @@ def line_time(gathered: Gathered) -> Strength | None:
     if not len(seen.frames):
         return None
     speeds = speeds_of(seen, gathered.pictures.exposed_ns)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # robots of which nothing is seen
-        rows = seen.centres[..., 1] - np.nanmean(seen.centres[..., 1], axis=1, keepdims=True)
+    rows = seen.centres[..., 1] - np.nanmean(seen.centres[..., 1], axis=1, keepdims=True)
     pattern = np.nan_to_num(1e-6 * speeds * rows[..., None])[..., None]
     found = strengths(rig, seen, whitened(rig, seen), pattern)
     return found[0] if found else None

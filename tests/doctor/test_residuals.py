@@ -9,14 +9,21 @@ from asterism.protocol.geometry import Pose, exp_rotation
 from asterism.protocol.rig import Rig
 from asterism.server.doctor.calibration import lens_errors
 from asterism.server.doctor.constellations import check_positions, misfit_of
+from asterism.server.doctor.exposure import check_dim
 from asterism.server.doctor.finding import Verdict
+from asterism.server.doctor.gather import Sightings
 from asterism.server.doctor.place import check_place, judge_place
-from asterism.server.doctor.residuals import chi2_per_freedom, whitened
+from asterism.server.doctor.residuals import Whitened, whitened
 from tests.doctor.drawn import driving, gathered, sightings
 from tests.measure.doctor_streams import standing, with_focal
 from tests.rigs import make_rig
 
 RIG = make_rig(3, 5)
+
+
+def chi2_per_freedom(told: Whitened) -> float:
+    """1 where the spots' covariances say all."""
+    return float((told.residuals**2).sum() / told.freedom.sum())
 
 
 def moved(rig: Rig, robot: int, led: int, off_m: float) -> Rig:
@@ -76,7 +83,7 @@ def test_a_wrong_focal_length_is_as_far_off_as_its_sigma_says(rng: np.random.Gen
     assert abs(np.mean(scores)) < 3.0
 
 
-def still(told: Rig, true: Rig, frames: int, rng: np.random.Generator) -> object:
+def still(told: Rig, true: Rig, frames: int, rng: np.random.Generator) -> Sightings:
     """The sightings of what stands still."""
     assert true.T_world_camera is not None
     T_camera_world = true.T_world_camera.inverse()
@@ -101,6 +108,18 @@ def test_a_camera_that_moved_is_told_from_one_that_did_not(rng: np.random.Genera
         finding = check_place(gathered(rig, seen), judged)
         assert finding.verdict == verdict
         assert not judged.lens
+
+
+def test_an_led_that_is_dark_all_the_time_disturbs_nothing(rng: np.random.Generator) -> None:
+    rig = fixed_only(6)
+    seen = still(rig, rig, 20, rng)
+    for column in (seen.centres, seen.residuals, seen.covariances, seen.heights):
+        column[:, 3] = np.nan
+    judged = judge_place(rig, seen)
+    assert judged is not None
+    assert not judged.sure
+    assert check_positions(gathered(rig, seen), "rig.yaml").verdict == Verdict.GOOD
+    assert check_dim(gathered(rig, seen)).measured.startswith("base0: LED 3 is dark")
 
 
 def test_a_focal_length_is_told_from_a_motion(rng: np.random.Generator) -> None:
