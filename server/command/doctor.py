@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -115,8 +116,10 @@ def _watch(rig: Rig, source: Source) -> int:
     """Draw until Ctrl-C or the end of the source; a film is played as fast as it was taken."""
     console = Console()
     with contextlib.suppress(KeyboardInterrupt):
-        taken = source.frames()
-        frames = taken if source.live else paced(taken, None, lambda: False, SessionClock())
+        if isinstance(source, Camera):
+            frames = read_live(source, math.inf, lambda _: None, ahead=1)
+        else:
+            frames = paced(source.frames(), None, lambda: False, SessionClock())
         if not console.is_terminal:
             for now in watch(rig, frames):
                 console.print(f"{now.blur_px:.2f} px of blur, robots seen: {now.robots} of {now.of}", highlight=False)

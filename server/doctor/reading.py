@@ -14,7 +14,7 @@ from asterism.protocol.errors import WorldError
 from asterism.server.chain.frame import Frame
 from asterism.server.sources.camera import Camera
 
-AHEAD = 16  # images that may wait
+AHEAD = 16  # images that may wait where all are wanted
 GRACE_S = 3.0  # beyond the time to look for, until the first frame is there
 WAIT_S = 0.1
 LET_GO_S = 1.0  # that a camera may take; one that takes longer is left to the end of the program
@@ -22,12 +22,13 @@ LET_GO_S = 1.0  # that a camera may take; one that takes longer is left to the e
 Note = Callable[[Frame], None]
 
 
-def read_live(source: Camera, seconds: float, note: Note) -> Iterator[Frame]:
-    """Frames of so many seconds, those that there is time for; ``note`` is called with each, by another thread.
+def read_live(source: Camera, seconds: float, note: Note, ahead: int = AHEAD) -> Iterator[Frame]:
+    """Frames of so many seconds, those that there is time for; ``note`` is called with each, by another thread. So many
+    wait ``ahead`` at most.
 
     Raises what the source raises, WorldError where no frame comes.
     """
-    waiting: queue.Queue[Frame | BaseException | None] = queue.Queue(AHEAD)
+    waiting: queue.Queue[Frame | BaseException | None] = queue.Queue(ahead)
     over = threading.Event()
     taker = threading.Thread(target=_take, args=(source, note, waiting, over), name="camera", daemon=True)
     taker.start()

@@ -58,4 +58,5 @@ def check_shutter(gathered: Gathered) -> Finding:
         )
         seen = f"residuals of moving robots look like {found.value:+.1f} ± {found.sigma:.1f} us a row"
         return Finding(name, Verdict.WRONG, seen, advice)
-    return Finding(name, Verdict.GOOD, "none seen in the residuals of moving robots")
+    # Staged ones of 15 us were found in one rig of four.
+    return Finding(name, Verdict.UNTOLD, "no sign of one; but most of its shear looks like a tilt")

@@ -1,11 +1,14 @@
 """asterism doctor: a table for 80 columns, an exit code, a live page, and one sentence for bad input."""
 
+import gc
 import io
 import socket
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +23,7 @@ from asterism.server.command import doctor
 from asterism.server.doctor import host
 from asterism.server.doctor.calibration import check_calibration
 from asterism.server.doctor.finding import Finding, Verdict
-from asterism.server.doctor.live import page, watch
+from asterism.server.doctor.live import Now, page, watch
 from asterism.server.doctor.page import summary, table_of
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.simulation.simulate import Scene
@@ -161,6 +164,27 @@ def test_a_live_camera_is_looked_at_for_its_time_and_let_go_of(
     assert "frame rate wrong 100.00 Hz of 60 asked for" in told
     assert "lost frames wrong" in told
     assert "time stamps good CAMERA's jitter 0.00 ms" in told
+
+
+def test_the_live_page_lets_go_of_the_camera_at_ctrl_c(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = load_rig(DEMO_RIG)
+    scene = Scene(rig, 1)
+    device = Steady(scene.render(0, scene.truth(0, 0.0)))
+    camera = Camera("camera", lambda: device, rig, lambda _: None)
+    monkeypatch.setattr(doctor, "open_source", lambda *_: camera)
+    shown = doctor.watch
+
+    def once(*arguments: Any) -> Iterator[Now]:
+        yield next(shown(*arguments))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(doctor, "watch", once)
+    assert main(["doctor", str(DEMO_RIG), "0", "--watch"]) == 0
+    assert "robots seen: 5 of 5" in capsys.readouterr().out
+    gc.collect()
+    assert device.closed
 
 
 def test_a_camera_that_is_not_there_is_exit_code_1(capsys: pytest.CaptureFixture[str]) -> None:
