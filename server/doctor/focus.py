@@ -58,7 +58,8 @@ def check_sizes(found: dict[int, Blur], gathered: Gathered) -> Finding:
     named = {robot: blur for robot, blur in found.items() if robot != UNKNOWN}
     if not named:
         return Finding("spot sizes", Verdict.UNTOLD, "no robot was found")
-    away = [float(np.linalg.norm(pose.position)) for pose in seen.poses]
+    # Along the camera's axis: in a corner of the image a robot on the floor is farther away than the floor.
+    away = [float(pose.position[2]) for pose in seen.poses]
     near, far = float(np.quantile(away, 0.02)), float(np.quantile(away, 0.98))
     widths = [2.0 * blur.radius_px for blur in named.values()]
     told = f"{min(widths):.1f} to {max(widths):.1f} px wide at {near:.2f} to {far:.2f} m"
