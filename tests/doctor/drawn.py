@@ -41,13 +41,19 @@ def sightings(told: Rig, true: Rig, poses: list[list[Pose]], rng: np.random.Gene
 
 def driving(rig: Rig, frames: int, rng: np.random.Generator) -> list[list[Pose]]:
     """Poses of all robots that turn and move a little from frame to frame."""
-    still = [facing_pose(rng, (0.9, 1.5), (10.0, 40.0)) @ robot.T_robot_plane.inverse() for robot in rig.robots]
-    poses = []
-    for frame in range(frames):
-        turn = Pose(np.zeros(3), np.array([0.0, 0.0, np.sin(0.01 * frame), np.cos(0.01 * frame)]))
-        moved = [replace(pose, position=pose.position + np.array([1e-3 * frame, 0.0, 0.0])) for pose in still]
-        poses.append([pose @ turn for pose in moved])
-    return poses
+    still = standing_still(rig, rng)
+    return [[moved_on(pose, frame) for pose in still] for frame in range(frames)]
+
+
+def standing_still(rig: Rig, rng: np.random.Generator) -> list[Pose]:
+    """Somewhere in view, T_camera_robot."""
+    return [facing_pose(rng, (0.9, 1.5), (10.0, 40.0)) @ robot.T_robot_plane.inverse() for robot in rig.robots]
+
+
+def moved_on(pose: Pose, frame: float, step_m: float = 1e-3) -> Pose:
+    """Where a robot is by then."""
+    turn = Pose(np.zeros(3), np.array([0.0, 0.0, np.sin(0.01 * frame), np.cos(0.01 * frame)]))
+    return replace(pose, position=pose.position + np.array([step_m * frame, 0.3 * step_m * frame, 0.0])) @ turn
 
 
 def pictures(frames: int, spots: list[Floats] | None = None, times_ns: Floats | None = None) -> Pictures:

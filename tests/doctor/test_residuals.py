@@ -11,10 +11,11 @@ from asterism.server.doctor.calibration import lens_errors
 from asterism.server.doctor.constellations import check_positions, misfit_of
 from asterism.server.doctor.exposure import check_dim
 from asterism.server.doctor.finding import Verdict
-from asterism.server.doctor.gather import Sightings
+from asterism.server.doctor.gather import Gathered, Sightings
 from asterism.server.doctor.place import check_place, judge_place
 from asterism.server.doctor.residuals import Whitened, whitened
-from tests.doctor.drawn import driving, gathered, sightings
+from asterism.server.doctor.shutter import check_shutter, line_time
+from tests.doctor.drawn import PERIOD_NS, driving, gathered, moved_on, sightings, standing_still
 from tests.measure.doctor_streams import standing, with_focal
 from tests.rigs import make_rig
 
@@ -81,6 +82,34 @@ def test_a_wrong_focal_length_is_as_far_off_as_its_sigma_says(rng: np.random.Gen
         scores.append((errors.focal.value + 0.05) / errors.focal.sigma)
         assert errors.focal.sigma < 0.02
     assert abs(np.mean(scores)) < 3.0
+
+
+def rolled(line_us: float, rng: np.random.Generator, hidden: float) -> Gathered:
+    """Robots at 0.2 m/s, each LED where it is when its own row is exposed; some of them hidden."""
+    step_m, still = 0.2 * PERIOD_NS * 1e-9, standing_still(RIG, rng)
+    seen = sightings(RIG, RIG, [[moved_on(pose, frame, step_m) for pose in still] for frame in range(90)], rng)
+    for k, (frame, robot) in enumerate(zip(seen.frames.tolist(), seen.robots.tolist(), strict=True)):
+        for led in range(6):
+            late = 1e3 * line_us * (seen.centres[k, led, 1] - 0.5 * RIG.camera.height) / PERIOD_NS
+            moved = moved_on(still[robot], frame + late, step_m), moved_on(still[robot], frame, step_m)
+            here, there = (RIG.camera.project(pose.map(RIG.robots[robot].leds[led])) for pose in moved)
+            seen.centres[k, led] += here - there
+            seen.residuals[k, led] += here - there
+    dark = rng.random(seen.heights.shape) < hidden
+    for column in (seen.centres, seen.residuals, seen.covariances, seen.heights):
+        column[dark] = np.nan
+    return gathered(RIG, seen)
+
+
+@pytest.mark.parametrize("hidden", [0.0, 0.03])
+def test_the_time_between_rows_is_told_within_its_sigma(hidden: float, rng: np.random.Generator) -> None:
+    for line_us, verdict in ((0.0, Verdict.GOOD), (15.0, Verdict.WRONG), (-30.0, Verdict.WRONG)):
+        told = rolled(line_us, rng, hidden)
+        found = line_time(told)
+        assert found is not None
+        assert abs(found.value - line_us) < 4.0 * found.sigma
+        assert found.sigma < 2.5
+        assert check_shutter(told).verdict == verdict
 
 
 def still(told: Rig, true: Rig, frames: int, rng: np.random.Generator) -> Sightings:
