@@ -60,8 +60,11 @@ def displaced(rig: Rig, seen: Sightings) -> Displaced:
         if robot.T_world_fixed is None or len(mine.frames) < FEWEST:
             continue
         led = (T_camera_world @ robot.T_world_fixed).map(robot.leds)
+        # By way of the poses, so that what shifts an LED's spot (its optics, its perspective) is in both.
+        found = np.array([rig.camera.project(pose.map(robot.leds)) for pose in mine.poses])
         counts = mine.lit.sum(axis=0)[:, None]
-        total = np.where(mine.lit[..., None], mine.centres - rig.camera.project(led), 0.0).sum(axis=0)
+        away = mine.residuals + found - rig.camera.project(led)
+        total = np.where(mine.lit[..., None], away, 0.0).sum(axis=0)
         off.append(np.where(counts > 0, total / np.maximum(counts, 1), np.nan))
         own = float(np.nanmedian(0.5 * (mine.covariances[..., 0] + mine.covariances[..., 2]))) / len(mine.frames)
         sigma.append(math.hypot(math.sqrt(own), SURVEYED_PX))

@@ -42,7 +42,7 @@ def stamps_of(times: Times) -> Stamps | None:
     # A gap's error is that of two stamps.
     jitter = float(np.sqrt(np.mean((gaps - beats * period) ** 2) / 2.0))
     missing = max(int(beats.sum()) - len(gaps), int(np.maximum(steps - 1, 0).sum()), 0)
-    counted = int(times.clocks[0]) == int(Clock.FILE) and float(np.ptp(gaps / steps)) <= COUNTED_NS
+    counted = int(times.clocks[0]) == int(Clock.FILE) and float(np.ptp(gaps / np.maximum(steps, 1))) <= COUNTED_NS
     return Stamps(period * 1e-9, missing, jitter * 1e-9, 0, counted)
 
 
