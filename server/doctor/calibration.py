@@ -67,14 +67,9 @@ def check_calibration(gathered: Gathered, camera_file: Path, now_s: float, place
     if place is not None and place.lens:
         return Finding(name, Verdict.WRONG, f"{age}; {place.lens}", again)
     errors = lens_errors(rig, gathered.sightings) if len(gathered.sightings.frames) else None
-    if errors is not None and errors.focal.sure and abs(errors.focal.value) > WORTH:
-        off = f"focal length {100 * errors.focal.value:+.2f} ± {100 * errors.focal.sigma:.2f} % off by the residuals"
+    if errors is not None and (off := _off(errors)):
         return Finding(name, Verdict.WRONG, f"{age}; {off}", again)
-    if errors is not None and errors.bend.sure and abs(errors.bend.value) > WORTH_PX:
-        off = f"distortion {errors.bend.value:+.1f} ± {errors.bend.sigma:.1f} px off at the corner"
-        return Finding(name, Verdict.WRONG, f"{age}; {off}", again)
-    limits = [SIGMAS * errors.focal.sigma] if errors is not None else []
-    limit = min([*limits, *([place.focal_limit] if place is not None else [])], default=math.inf)
+    limit = _limit(errors, place)
     seen = "; too few robots, or too ill known, to judge it by"
     if limit < BLIND:
         seen = f"; nothing speaks against it (a focal length off by {100 * limit:.2g} % would)"
@@ -84,6 +79,24 @@ def check_calibration(gathered: Gathered, camera_file: Path, now_s: float, place
         advice = "Show a robot by hand from all sides for 10 s, or have one in view that stands still (`fixed`)."
         return Finding(name, Verdict.UNTOLD, f"{age}{told}{seen}", advice)
     return Finding(name, Verdict.GOOD, f"{age}{told}{seen}")
+
+
+def _off(errors: LensErrors) -> str:
+    """What residuals say is off, empty where it is nothing."""
+    focal, bend = errors
+    if focal.sure and abs(focal.value) > WORTH:
+        return f"focal length {100 * focal.value:+.2f} ± {100 * focal.sigma:.2f} % off by the residuals"
+    if bend.sure and abs(bend.value) > WORTH_PX:
+        return f"distortion {bend.value:+.1f} ± {bend.sigma:.1f} px off at the corner"
+    return ""
+
+
+def _limit(errors: LensErrors | None, place: LensOrPlace | None) -> float:
+    """The least error of the focal length, relative, that would have shown."""
+    limits = [] if errors is None else [SIGMAS * errors.focal.sigma]
+    if place is not None and not place.sure:
+        limits.append(place.focal_limit)
+    return min(limits, default=math.inf)
 
 
 def _age(days: float) -> str:

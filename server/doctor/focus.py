@@ -63,28 +63,26 @@ def check_sizes(found: dict[int, Blur], gathered: Gathered) -> Finding:
     near, far = float(np.quantile(away, 0.02)), float(np.quantile(away, 0.98))
     widths = [2.0 * blur.radius_px for blur in named.values()]
     told = f"{min(widths):.1f} to {max(widths):.1f} px wide at {near:.2f} to {far:.2f} m"
-    off = {
-        robot: blur.radius_m / radius
-        for robot, blur in named.items()
-        # Under a blur much wider than the light nothing is left of its size.
-        if (radius := rig.robots[robot].led_radius) is not None and blur.blur_px < blur.radius_px
-    }
-    if off:
+    if off := _over_told(named, rig):
         worst = max(off, key=lambda robot: abs(math.log(off[robot])))
-        apart = math.exp(abs(math.log(off[worst])))
-        told += f", {off[worst]:.2f} times led.radius" + (f" ({rig.robots[worst].id})" if apart >= SIZE_LOOK else "")
+        apart, robot = math.exp(abs(math.log(off[worst]))), rig.robots[worst].id
+        told += f", {off[worst]:.2f} times led.radius"
         if apart >= SIZE_LOOK:
-            mm = 1e3 * named[worst].radius_m
-            advice = f"Measure the light of {rig.robots[worst].id}'s LEDs: it looks like led.radius: {mm / 1e3:.4f}."
-            return Finding("spot sizes", graded(apart, SIZE_LOOK, SIZE_WRONG), told, advice)
+            advice = f"Measure the light of {robot}'s LEDs: it looks like led.radius: {named[worst].radius_m:.4f}."
+            return Finding("spot sizes", graded(apart, SIZE_LOOK, SIZE_WRONG), f"{told} ({robot})", advice)
     if rig.range_m is not None and (near * BEYOND < rig.range_m[0] or far > BEYOND * rig.range_m[1]):
         advice = f"Set the rig's range to where robots are: it is {rig.range_m[0]:g} to {rig.range_m[1]:g} m."
         return Finding("spot sizes", Verdict.LOOK, told, advice)
     if min(widths) < LEAST_DIAMETER_PX:
-        return Finding(
-            "spot sizes", Verdict.LOOK, told, "Larger lights, a longer lens or less distance: 3 px at least."
-        )
+        advice = f"Larger lights, a longer lens or less distance: {LEAST_DIAMETER_PX:g} px at least."
+        return Finding("spot sizes", Verdict.LOOK, told, advice)
     return Finding("spot sizes", Verdict.GOOD, told)
+
+
+def _over_told(named: dict[int, Blur], rig: Rig) -> dict[int, float]:
+    """The lights' radii over those of the rig. Under a blur wider than the light nothing is left of its size."""
+    told = {robot: rig.robots[robot].led_radius for robot, blur in named.items() if blur.blur_px < blur.radius_px}
+    return {robot: named[robot].radius_m / radius for robot, radius in told.items() if radius is not None}
 
 
 def check_streaks(gathered: Gathered, found: dict[int, Blur]) -> Finding:
