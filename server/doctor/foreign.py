@@ -14,7 +14,9 @@ FEWEST_FRAMES = 5
 SAME_PX = 1.0
 # Sensors' data sheets allow a few in a million; each costs a spot's time, and one beside an LED pulls its centre.
 LOOK_HOT, WRONG_HOT = 10, 1000
-LEAST_FOREIGN = 12  # spots a frame that are nobody's, before they count at all
+# Spots a frame that are nobody's, before they count at all: so many cost no time, and noise and the blocks of a JPEG
+# make a dozen points.
+LEAST_FOREIGN = 24
 OWN = (int(Fate.LED), int(Fate.MASKED))
 REASONS = {
     "UNEXPLAINED": "like LEDs, but no robot's",

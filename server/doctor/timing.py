@@ -103,7 +103,8 @@ def check_jitter(gathered: Gathered, found: Stamps | None) -> Finding:
     if found.counted:
         return Finding(name, Verdict.UNTOLD, "counted, not measured: a film of images has no stamps")
     clock = Clock.Name(int(gathered.times.clocks[-1]))
-    told = f"{clock}'s jitter {found.jitter_s * 1e3:.2f} ms (one sigma)"
+    whose = "the file" if clock == "FILE" else clock
+    told = f"{whose}'s jitter {found.jitter_s * 1e3:.2f} ms (one sigma)"
     verdict = graded(found.jitter_s, JITTER_LOOK_S, JITTER_WRONG_S)
     if verdict == Verdict.GOOD:
         return Finding(name, verdict, told)
