@@ -27,6 +27,7 @@ COMMANDS = {
     "board": "a calibration board to print, true to scale",
     "report": "the error budget of a rig and its workspace, with plots",
     "design": "constellations that cannot be confused, with a drill plan",
+    "doctor": "focus, exposure, clutter, calibration, time stamps: what is wrong, and what to do",
     "check": "how well a rig's robots can be told apart, and what can go wrong",
 }
 
