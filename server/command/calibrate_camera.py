@@ -1,8 +1,7 @@
 """asterism calibrate camera: the lens model from views of a planar target."""
 
 import argparse
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from rich.table import Table
 from asterism.protocol.camera import parse_camera
 from asterism.protocol.errors import InputError
 from asterism.protocol.keys import key_problem
-from asterism.protocol.network import joins, open_server
 from asterism.server.calibration.lens.board_points import Seen, find_points
 from asterism.server.calibration.lens.bundle import View
 from asterism.server.calibration.lens.calibration import calibrate_camera, implausible, refuse_too_few
@@ -28,11 +26,11 @@ from asterism.server.chain.frame import Frame
 from asterism.server.chain.warm_up import FINDING, warm_up
 from asterism.server.command.calibrate import TARGET
 from asterism.server.command.foreign_camera import FOREIGN, take_foreign
+from asterism.server.command.joined import joined
 from asterism.server.command.progress import progress, working
 from asterism.server.command.shared_arguments import CAMERA_OR_FILES, add_out, add_server, add_topic
 from asterism.server.output import new_file
 from asterism.server.service.say import say
-from asterism.server.sources.network import NetworkImages
 from asterism.server.sources.open_source import open_source
 from asterism.server.sources.source import Source
 
@@ -86,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
     if target.kind == "leds":
         warm_up(*FINDING)
     search = _Search(target)
-    with _joined(source, options):
+    with joined(source, options):
         if source.live:
             _watch(source, search)
         else:
@@ -113,25 +111,6 @@ def run(options: argparse.Namespace) -> int:
     if kept:
         print(f"kept beside: {', '.join(map(str, kept))}")
     return 0
-
-
-@contextmanager
-def _joined(source: Source, options: argparse.Namespace) -> Iterator[None]:
-    """Images of the network come from where `serve` would take them: its own listener, or what it joins."""
-    place = (options.listen, options.connect, options.zenoh)
-    if not isinstance(source, NetworkImages):
-        if any(place):
-            raise InputError("--listen, --connect, --zenoh: are for images from the network, zenoh:KEY")
-        yield
-        return
-    if options.listen and options.connect:
-        raise InputError("--listen and --connect exclude each other; --connect joins what is there as a client")
-    with open_server(*place) as session:
-        source.join(session, listens=not joins(options.connect, options.zenoh))
-        try:
-            yield
-        finally:
-            source.close()
 
 
 class _Search:

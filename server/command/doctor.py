@@ -15,9 +15,11 @@ from asterism.protocol.rig import Rig, load_rig
 from asterism.protocol.yaml_file import read_yaml
 from asterism.server.chain.frame import Frame
 from asterism.server.chain.warm_up import localizing, warm_up
+from asterism.server.command.fitted_rig import open_fitting
+from asterism.server.command.joined import joined
 from asterism.server.command.number_arguments import positive
 from asterism.server.command.progress import progress
-from asterism.server.command.shared_arguments import SOURCE
+from asterism.server.command.shared_arguments import SOURCE, add_server, add_topic
 from asterism.server.doctor.blink import check_delay
 from asterism.server.doctor.examine import examine
 from asterism.server.doctor.finding import Finding, Verdict
@@ -27,11 +29,9 @@ from asterism.server.doctor.live import page, watch
 from asterism.server.doctor.page import summary, table_of
 from asterism.server.doctor.reading import read_live
 from asterism.server.service.say import say
-from asterism.server.sources.camera import Camera
-from asterism.server.sources.open_source import open_source
 from asterism.server.sources.paced import paced
 from asterism.server.sources.session_clock import SessionClock
-from asterism.server.sources.source import Source
+from asterism.server.sources.source import LiveSource, Source
 
 EXAMPLES = (
     "asterism doctor rig.yaml /dev/video0\n"
@@ -48,6 +48,8 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     part.add_argument("rig", metavar="RIG", help="rig.yaml")
     part.add_argument("source", metavar="SOURCE", help=SOURCE)
+    add_topic(part)
+    add_server(part)
     part.add_argument(
         "--seconds", metavar="S", type=positive, default=SECONDS, help=f"how long to look (default {SECONDS:g})"
     )
@@ -64,15 +66,15 @@ def run(options: argparse.Namespace) -> int:
     """Look at the frames; 1 where something is wrong."""
     if options.watch and options.blink:
         raise InputError("--watch and --blink exclude each other: a live page, or the delay of the stamps")
-    rig = load_rig(options.rig)
-    source = open_source(options.source, rig, say)
+    rig, source = open_fitting(options.source, load_rig(options.rig), say, options.topic)
     warm_up(*localizing(rig, options.source))
-    if options.watch:
-        return _watch(rig, source)
-    gatherer = Gatherer(rig)
-    count = round(options.seconds * source.rate_hz)
-    for frame in progress(_looked_at(source, options.seconds, gatherer), count, "looking"):
-        gatherer.add(frame)
+    with joined(source, options):
+        if options.watch:
+            return _watch(rig, source)
+        gatherer = Gatherer(rig)
+        count = round(options.seconds * source.rate_hz)
+        for frame in progress(_looked_at(source, options.seconds, gatherer), count, "looking"):
+            gatherer.add(frame)
     findings = _findings(options, gatherer.gathered())
     console = Console()
     if not console.is_terminal:
@@ -98,7 +100,7 @@ def _looked_at(source: Source, seconds: float, gatherer: Gatherer) -> Iterator[F
 
     Raises InputError where there is none, WorldError where none comes.
     """
-    if isinstance(source, Camera):
+    if isinstance(source, LiveSource):
         yield from read_live(source, seconds, gatherer.note)
         return
     end_ns = None
@@ -116,7 +118,7 @@ def _watch(rig: Rig, source: Source) -> int:
     """Draw until Ctrl-C or the end of the source; a film is played as fast as it was taken."""
     console = Console()
     with contextlib.suppress(KeyboardInterrupt):
-        if isinstance(source, Camera):
+        if isinstance(source, LiveSource):
             frames = read_live(source, math.inf, lambda _: None, ahead=1)
         else:
             frames = paced(source.frames(), None, lambda: False, SessionClock())

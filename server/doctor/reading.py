@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 
 from asterism.protocol.errors import WorldError
 from asterism.server.chain.frame import Frame
-from asterism.server.sources.camera import Camera
+from asterism.server.sources.source import LiveSource
 
 AHEAD = 16  # images that may wait where all are wanted
 GRACE_S = 3.0  # beyond the time to look for, until the first frame is there
@@ -22,7 +22,7 @@ LET_GO_S = 1.0  # that a camera may take; one that takes longer is left to the e
 Note = Callable[[Frame], None]
 
 
-def read_live(source: Camera, seconds: float, note: Note, ahead: int = AHEAD) -> Iterator[Frame]:
+def read_live(source: LiveSource, seconds: float, note: Note, ahead: int = AHEAD) -> Iterator[Frame]:
     """Frames of so many seconds, those that there is time for; ``note`` is called with each, by another thread. So many
     wait ``ahead`` at most.
 
@@ -54,7 +54,7 @@ def read_live(source: Camera, seconds: float, note: Note, ahead: int = AHEAD) ->
 
 
 def _take(
-    source: Camera, note: Note, waiting: "queue.Queue[Frame | BaseException | None]", over: threading.Event
+    source: LiveSource, note: Note, waiting: "queue.Queue[Frame | BaseException | None]", over: threading.Event
 ) -> None:
     """In the thread: take frames until it is ``over``, and let go of the camera."""
     frames = source.frames()

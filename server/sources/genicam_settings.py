@@ -13,6 +13,7 @@ from asterism.server.sources.source import Say
 _UNITS = {EXPOSURE: " us", GAIN: "", RATE: " Hz"}
 _KEYS = {EXPOSURE: "exposure_us", GAIN: "gain", RATE: "rate"}
 _AUTOMATIC = {EXPOSURE: "ExposureAuto", GAIN: "GainAuto"}
+_BINNING = ("BinningHorizontal", "BinningVertical")
 _ROUNDED = 0.01  # by which a camera may round what it is asked for
 _KEY_OF_ACTION = {"ActionDeviceKey": 1, "ActionGroupKey": 1, "ActionGroupMask": 1}
 
@@ -34,7 +35,7 @@ def apply_settings(camera: ArvCamera, capture: Capture, size: tuple[int, int] | 
     Raises InputError with a sentence for everything that the camera refuses: what, and what it accepts.
     """
     camera.clear_triggers()  # of whoever had it before
-    refused = [
+    refused = _binning(camera, capture.binning) or [
         *_region(camera, capture, size),
         *_pixel_format(camera, capture.pixel_format),
         *_value(camera, EXPOSURE, capture.exposure_us),
@@ -58,6 +59,22 @@ def _applied(camera: ArvCamera, trigger: str | None) -> Applied:
     return Applied(width, height, camera.pixel_format(), round(1e3 * exposure), rate or None, trigger)
 
 
+def _binning(camera: ArvCamera, asked: int | None) -> list[str]:
+    """Before the region, whose bounds it changes."""
+    if asked is None:
+        return []
+    for feature in _BINNING:
+        if not camera.has(feature):
+            return [] if asked == 1 else [f"capture.binning {asked}: the camera has no such setting ({feature})"]
+        try:
+            camera.set_whole(feature, asked)
+        except AravisError as problem:
+            return [f"capture.binning {asked}: the camera does not take it ({problem})"]
+        if (got := camera.whole(feature)) != asked:
+            return [f"capture.binning {asked}: the camera made {got} of it ({feature})"]
+    return []
+
+
 def _region(camera: ArvCamera, capture: Capture, size: tuple[int, int] | None) -> list[str]:
     x, y, *before = camera.region()
     refused = []
@@ -67,7 +84,7 @@ def _region(camera: ArvCamera, capture: Capture, size: tuple[int, int] | None) -
     if refused:
         return refused
     if capture.offset is not None:
-        return _offset(camera, capture.offset)
+        return _offset(camera, capture.offset, capture.binning or 1)
     # A calibration of the camera's own region is of its own offset.
     if camera.can_offset() and not _misfit(camera.steps("x_offset"), x) and not _misfit(camera.steps("y_offset"), y):
         camera.set_region(x, y, *camera.region()[2:])
@@ -86,8 +103,12 @@ def _size(camera: ArvCamera, size: tuple[int, int], what: str) -> list[str]:
     return [] if got == size else [f"{what} made {got[0]}x{got[1]} of it"]
 
 
-def _offset(camera: ArvCamera, asked: tuple[int, int]) -> list[str]:
-    what = f"capture.offset {list(asked)}: the camera"
+def _offset(camera: ArvCamera, of_sensor: tuple[int, int], binning: int) -> list[str]:
+    """A camera counts its offset in the pixels that it gives."""
+    what = f"capture.offset {list(of_sensor)}: the camera"
+    if any(value % binning for value in of_sensor):
+        return [f"capture.offset {list(of_sensor)}: expected multiples of the binning, {binning}"]
+    asked = of_sensor[0] // binning, of_sensor[1] // binning
     if not camera.can_offset():
         return [f"{what}'s image always begins at the sensor's corner"]
     for side, value in zip(("x_offset", "y_offset"), asked, strict=True):

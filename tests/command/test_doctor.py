@@ -157,7 +157,7 @@ def test_a_live_camera_is_looked_at_for_its_time_and_let_go_of(
     scene = Scene(rig, 1)
     device = Steady(scene.render(0, scene.truth(0, 0.0)))
     camera = Camera("camera", lambda: device, rig, lambda _: None)
-    monkeypatch.setattr(doctor, "open_source", lambda *_: camera)
+    monkeypatch.setattr(doctor, "open_fitting", lambda *_: (rig, camera))
     assert main(["doctor", str(DEMO_RIG), "0", "--seconds", "0.5"]) == 1
     told = " ".join(capsys.readouterr().out.split())
     assert device.closed
@@ -173,7 +173,7 @@ def test_the_live_page_lets_go_of_the_camera_at_ctrl_c(
     scene = Scene(rig, 1)
     device = Steady(scene.render(0, scene.truth(0, 0.0)))
     camera = Camera("camera", lambda: device, rig, lambda _: None)
-    monkeypatch.setattr(doctor, "open_source", lambda *_: camera)
+    monkeypatch.setattr(doctor, "open_fitting", lambda *_: (rig, camera))
     shown = doctor.watch
 
     def once(*arguments: Any) -> Iterator[Now]:

@@ -171,6 +171,22 @@ def test_every_refusal_is_a_sentence(capture: dict[str, Any], words: str) -> Non
         apply(StandIn(), **capture)
 
 
+def test_binning_is_set_before_the_region_and_the_offset_is_of_the_sensor() -> None:
+    camera = StandIn(BinningHorizontal=1, BinningVertical=1)
+    applied, _ = apply(camera, binning=2, size=(640, 480), offset=(320, 192))
+    assert (camera.features["BinningHorizontal"], camera.features["BinningVertical"]) == (2, 2)
+    assert camera.at == (160, 96, 640, 480)
+    assert (applied.width, applied.height) == (640, 480)
+
+
+def test_a_camera_that_does_not_bin_is_not_taken_for_one_that_does() -> None:
+    with pytest.raises(InputError, match=r"^cam: capture.binning 2: the camera has no such setting \(BinningHor"):
+        apply(StandIn(), binning=2, size=(640, 480))
+    apply(StandIn(), binning=1, size=(640, 480))
+    with pytest.raises(InputError, match=r"^cam: capture.offset \[320, 161\]: expected multiples of the binning, 2$"):
+        apply(StandIn(BinningHorizontal=1, BinningVertical=1), binning=2, size=(640, 480), offset=(320, 161))
+
+
 def test_the_calibrations_size_is_called_that() -> None:
     with pytest.raises(
         InputError, match=r"cam: the calibration's size \[4000, 1024\]: the camera's width is 16 to 2448"

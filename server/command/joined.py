@@ -1,0 +1,29 @@
+"""Images of the network, in commands that publish nothing."""
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from asterism.protocol.errors import InputError
+from asterism.protocol.network import joins, open_server
+from asterism.server.sources.network import NetworkImages
+from asterism.server.sources.source import Source
+
+
+@contextmanager
+def joined(source: Source, options: argparse.Namespace) -> Iterator[None]:
+    """Images of the network come from where `serve` would take them: its own listener, or what it joins."""
+    place = (options.listen, options.connect, options.zenoh)
+    if not isinstance(source, NetworkImages):
+        if any(place):
+            raise InputError("--listen, --connect, --zenoh: are for images from the network, zenoh:KEY")
+        yield
+        return
+    if options.listen and options.connect:
+        raise InputError("--listen and --connect exclude each other; --connect joins what is there as a client")
+    with open_server(*place) as session:
+        source.join(session, listens=not joins(options.connect, options.zenoh))
+        try:
+            yield
+        finally:
+            source.close()
