@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 from asterism.protocol.errors import InputError
 from asterism.protocol.network import joins, open_server
-from asterism.server.sources.network import NetworkImages
+from asterism.server.sources.foreign.network import NetworkImages
 from asterism.server.sources.source import Source
 
 

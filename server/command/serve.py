@@ -22,7 +22,7 @@ from asterism.server.service.reload import reload_on_hangup
 from asterism.server.service.say import say, say_warnings
 from asterism.server.service.serve import Outlets, Run, Sink, Stop, stop_on_signals
 from asterism.server.sources.camera import clock_of
-from asterism.server.sources.network import NetworkImages
+from asterism.server.sources.foreign.network import NetworkImages
 from asterism.server.sources.source import Source
 
 if TYPE_CHECKING:

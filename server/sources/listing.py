@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from contextlib import closing
 from typing import NamedTuple
 
-from asterism.server.sources.genicam_listing import list_genicam
-from asterism.server.sources.v4l2 import trouble
-from asterism.server.sources.v4l2_node import KERNEL, Mode, Node, System
-from asterism.server.sources.v4l2_offers import Offer, read_offers
-from asterism.server.sources.v4l2_pixels import FORMATS
-from asterism.server.sources.v4l2_place import best_names
+from asterism.server.sources.genicam.listing import list_genicam
+from asterism.server.sources.v4l2.camera import trouble
+from asterism.server.sources.v4l2.node import KERNEL, Mode, Node, System
+from asterism.server.sources.v4l2.offers import Offer, read_offers
+from asterism.server.sources.v4l2.pixels import FORMATS
+from asterism.server.sources.v4l2.place import best_names
 
 
 class Found(NamedTuple):

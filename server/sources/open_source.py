@@ -9,17 +9,17 @@ from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig
 from asterism.server.sources.camera import Camera
 from asterism.server.sources.files import ImageFiles, image_files
-from asterism.server.sources.foreign import ForeignFrames, holds_topics, open_topics
-from asterism.server.sources.genicam import RETRY_S as GENICAM_RETRY_S
-from asterism.server.sources.genicam import GenicamCamera
-from asterism.server.sources.genicam_listing import PREFIX
+from asterism.server.sources.foreign.network import SCHEME, NetworkImages
+from asterism.server.sources.foreign.topic_frames import ForeignFrames, holds_topics, open_topics
+from asterism.server.sources.genicam.camera import RETRY_S as GENICAM_RETRY_S
+from asterism.server.sources.genicam.camera import GenicamCamera
+from asterism.server.sources.genicam.listing import PREFIX
 from asterism.server.sources.images import EXTENSIONS
-from asterism.server.sources.network import SCHEME, NetworkImages
 from asterism.server.sources.recorded import RecordedFrames
 from asterism.server.sources.simulated import Simulated
 from asterism.server.sources.source import Expected, Say, Source
-from asterism.server.sources.v4l2 import v4l2_camera
-from asterism.server.sources.v4l2_place import is_v4l2
+from asterism.server.sources.v4l2.camera import v4l2_camera
+from asterism.server.sources.v4l2.place import is_v4l2
 from asterism.server.sources.video import VideoFile
 
 _LOG = logging.getLogger(__name__)

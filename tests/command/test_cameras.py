@@ -5,9 +5,11 @@ import errno
 import pytest
 
 from asterism.server.command import cameras
-from asterism.server.sources import genicam_listing, listing, v4l2_abi
+from asterism.server.sources import listing
+from asterism.server.sources.genicam import listing as genicam_listing
 from asterism.server.sources.listing import Found, v4l2_cameras
-from tests.sources.v4l2_stand_in import StandInCamera, StandInSystem
+from asterism.server.sources.v4l2 import abi as v4l2_abi
+from tests.sources.v4l2.stand_in import StandInCamera, StandInSystem
 
 VGA, HD, FULL = (640, 480), (1280, 720), (1920, 1080)
 WEBCAM = StandInCamera(

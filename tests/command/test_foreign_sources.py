@@ -16,7 +16,7 @@ from asterism.server.__main__ import main
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.simulation.simulate import Scene
 from tests.calibration.lens.boards import Lens, chessboard, poses, render
-from tests.sources.foreign_files import ros_image, ros_text, write_bag2, write_mcap
+from tests.sources.foreign.foreign_files import ros_image, ros_text, write_bag2, write_mcap
 
 BEGAN_NS, STEP_NS, FRAMES = 1_700_000_000_000_000_001, 16_666_667, 3
 

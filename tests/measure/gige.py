@@ -33,7 +33,7 @@ from asterism.server.simulation.simulate import Scene
 from asterism.server.sources.background import wait_for_background
 from asterism.server.sources.camera import Camera
 from asterism.server.sources.open_source import open_source
-from tests.sources.fake_camera import ADDRESS, FakeCamera, fake_camera, truth_of
+from tests.sources.genicam.fake_camera import ADDRESS, FakeCamera, fake_camera, truth_of
 
 EXPOSURE_US, RATE_HZ, LENGTH = 500.0, 30.0, 24
 SETTLED_S = 15.0

@@ -16,7 +16,7 @@ import zenoh
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from asterism.protocol.network import open_server
-from asterism.server.sources.network import RAW, NetworkImages
+from asterism.server.sources.foreign.network import RAW, NetworkImages
 from tests.servers import free_endpoint
 
 WIDTH, HEIGHT, KEY = 1280, 1024, "cell/camera"

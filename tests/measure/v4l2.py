@@ -18,11 +18,11 @@ import numpy as np
 from asterism.protocol.capture import Capture
 from asterism.protocol.messages import Clock
 from asterism.server.sources.camera import Camera, Taken
-from asterism.server.sources.v4l2 import V4l2Opener
-from asterism.server.sources.v4l2_node import KERNEL, Node
-from asterism.server.sources.v4l2_offers import read_offers
-from asterism.server.sources.v4l2_pixels import FORMATS
-from asterism.server.sources.v4l2_place import name_of
+from asterism.server.sources.v4l2.camera import V4l2Opener
+from asterism.server.sources.v4l2.node import KERNEL, Node
+from asterism.server.sources.v4l2.offers import read_offers
+from asterism.server.sources.v4l2.pixels import FORMATS
+from asterism.server.sources.v4l2.place import name_of
 
 LEAST_HZ = 20.0
 AWAY_S = 2.0

@@ -9,11 +9,11 @@ import numpy as np
 
 from asterism.protocol.errors import InputError
 from asterism.server.calibration.lens.foreign_camera import read_foreign_camera
-from asterism.server.sources.foreign import ForeignFrames, open_topics
-from asterism.server.sources.image_messages import picture
-from asterism.server.sources.network import told_by
-from asterism.server.sources.ros_messages import BadMessage, read_compressed, read_image
-from tests.sources.foreign_files import (
+from asterism.server.sources.foreign.image_messages import picture
+from asterism.server.sources.foreign.network import told_by
+from asterism.server.sources.foreign.ros_messages import BadMessage, read_compressed, read_image
+from asterism.server.sources.foreign.topic_frames import ForeignFrames, open_topics
+from tests.sources.foreign.foreign_files import (
     ROS1,
     ROS2,
     compressed,

@@ -15,7 +15,7 @@ from asterism.protocol.messages import Clock
 from asterism.recordings.reader import Recording
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.servers import Subscriber, asterism, free_endpoint, running, wait_for_line
-from tests.sources.fake_camera import ADDRESS, fake_camera
+from tests.sources.genicam.fake_camera import ADDRESS, fake_camera
 from tests.wire_bytes import received_bytes
 
 FILM, FRAMES = 8, 24

@@ -17,10 +17,10 @@ FRAMES, KEY = 6, "cell/cam"
 
 
 class PlainCamera:
-    """tests/sources/plain_camera.py in a process of its own."""
+    """tests/sources/foreign/plain_camera.py in a process of its own."""
 
     def __init__(self, *arguments: object) -> None:
-        command = [sys.executable, "tests/sources/plain_camera.py", *map(str, arguments)]
+        command = [sys.executable, "tests/sources/foreign/plain_camera.py", *map(str, arguments)]
         self._process = subprocess.Popen(
             command, cwd=REPOSITORY, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )

@@ -16,11 +16,11 @@ from asterism.server.pose.track import Tracks
 from asterism.server.service.serve import Outlets, Run, Stop
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.simulation.simulate import Scene
-from asterism.server.sources import v4l2_abi as abi
-from asterism.server.sources.v4l2 import v4l2_camera
+from asterism.server.sources.v4l2 import abi
+from asterism.server.sources.v4l2.camera import v4l2_camera
 from tests.service.nobody import Nobody
-from tests.sources.v4l2_stand_in import MONOTONIC_AT_START, StandInCamera, StandInSystem
-from tests.sources.v4l2_stand_in import Frame as Buffer
+from tests.sources.v4l2.stand_in import MONOTONIC_AT_START, StandInCamera, StandInSystem
+from tests.sources.v4l2.stand_in import Frame as Buffer
 
 FILM, PULLED, ALL = 4, 6, 12  # frames: of the film, solved before the cable is pulled, and in all
 SIZE = (1280, 1024)

@@ -7,7 +7,7 @@ import numpy as np
 
 from asterism.protocol.errors import WorldError
 from asterism.server.sources.camera import Camera, Device, Taken, Waiting
-from tests.sources.gige_film import HEIGHT, WIDTH, rig_with
+from tests.sources.genicam.gige_film import HEIGHT, WIDTH, rig_with
 
 IMAGE = np.zeros((HEIGHT, WIDTH), np.uint8)
 BUSY = WorldError("cam: the camera is in use by a program on 10.0.0.7")

@@ -15,7 +15,7 @@ import numpy as np
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats
 from asterism.protocol.yaml_file import Section, describe, parse_yaml, shortened
-from asterism.server.sources.ros_messages import CameraInfoTold
+from asterism.server.sources.foreign.ros_messages import CameraInfoTold
 
 _MATRIX = ("cameramatrix", "k", "intrinsicmatrix", "mtx", "intrinsics")
 _DISTORTION = ("distortioncoefficients", "distortioncoeffs", "distcoeffs", "distcoeff", "d", "dist")

@@ -19,9 +19,9 @@ from asterism.protocol.sensor_part import part_of
 from asterism.protocol.text_file import read_text
 from asterism.protocol.yaml_file import describe, shortened
 from asterism.server.calibration.lens.calibration_texts import read_calibration
-from asterism.server.sources.foreign import holds_topics, open_topics
-from asterism.server.sources.ros_messages import BadMessage, CameraInfoTold, read_camera_info
-from asterism.server.sources.topics import chosen, shown, type_name
+from asterism.server.sources.foreign.ros_messages import BadMessage, CameraInfoTold, read_camera_info
+from asterism.server.sources.foreign.topic_frames import holds_topics, open_topics
+from asterism.server.sources.foreign.topics import chosen, shown, type_name
 
 # Models by the names that others give them.
 NAMES = {

@@ -14,7 +14,7 @@ from asterism.server.__main__ import main
 from asterism.server.calibration.lens.camera_file import camera_text
 from asterism.server.calibration.lens.foreign_camera import read_foreign_camera
 from tests.protocol.mutations import mutated_yaml
-from tests.sources.foreign_files import camera_info, ros_text, write_bag2, write_mcap
+from tests.sources.foreign.foreign_files import camera_info, ros_text, write_bag2, write_mcap
 
 K = [1400.0, 0.0, 645.3, 0.0, 1401.8, 508.7, 0.0, 0.0, 1.0]
 D = [-0.11, 0.035, 0.0004, -0.0003, 0.01]

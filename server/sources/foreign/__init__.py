@@ -1,0 +1,1 @@
+"""Images of other programs: from the network, from MCAP files and bags."""

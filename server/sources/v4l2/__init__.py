@@ -1,0 +1,1 @@
+"""V4L2 cameras, by the calls of the kernel itself."""
