@@ -2,10 +2,9 @@
 
 Frames without pixels at 60 Hz (tests/measure/drawn_frames.py, centres with white noise as large as they tell), three
 robots that drive, one to three constellations that stand still. The camera stands, creeps 0.05 degrees a minute, shakes
-(7 Hz, 0.005 to 0.1 degrees), is kicked (0.3 degrees, 2 mm, every 5 s), or is out of sight of all that stands still for
-half of the time. NEES: squared errors of the robots' poses in the world over their covariances, 6 where they are meant;
-mm: RMS of their positions; camera: NEES of T_world_camera itself. "rig's": `follow` off, the camera where it truly
-stands at rest.
+(7 Hz, 0.005 to 0.1 degrees), or is kicked (0.3 degrees, 2 mm, every 5 s). NEES: squared errors of the robots' poses in
+the world over their covariances, 6 where they are meant; mm: RMS of their positions; camera's: NEES of T_world_camera
+itself. "rig's": `follow` off, the camera where it truly stands at rest.
 """
 
 import argparse
