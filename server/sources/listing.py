@@ -5,6 +5,7 @@ from contextlib import closing
 from typing import NamedTuple
 
 from asterism.server.sources.genicam.listing import list_genicam
+from asterism.server.sources.genicam.offers import offers_of
 from asterism.server.sources.v4l2.camera import trouble
 from asterism.server.sources.v4l2.node import KERNEL, Mode, Node, System
 from asterism.server.sources.v4l2.offers import Offer, read_offers
@@ -31,9 +32,11 @@ def v4l2_cameras(system: System = KERNEL) -> list[Found]:
 def genicam_cameras() -> tuple[list[Found], str]:
     """GenICam cameras; and why there can be none, or ""."""
     cameras, problem = list_genicam()
-    return [
-        Found(one.name, f"{one.vendor} {one.model}, serial {one.serial}, {one.address}, GenICam") for one in cameras
-    ], problem
+    found = []
+    for one in cameras:
+        what = f"{one.vendor} {one.model}, serial {one.serial}, {one.place.address or 'USB'}, GenICam"
+        found.append(Found(one.name, what, *offers_of(one.place.id, one.place.address)))
+    return found, problem
 
 
 def _look(path: str, name: str, system: System) -> Found | None:

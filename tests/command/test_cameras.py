@@ -75,11 +75,14 @@ def test_where_there_is_none_it_says_where_it_looked_and_succeeds(
 
 
 def test_genicam_cameras_are_told_with_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
-    camera = genicam_listing.FoundCamera("genicam:SN1", "Maker", "Model", "SN1", "10.0.0.2")
+    place = genicam_listing.Place("Maker-SN1", "10.0.0.2", "SN1")
+    camera = genicam_listing.FoundCamera("genicam:SN1", "Maker", "Model", "SN1", place)
+    monkeypatch.setattr(listing, "offers_of", lambda which, address: ((f"Mono8 of {which} at {address}",), ""))
     monkeypatch.setattr(listing, "list_genicam", lambda: genicam_listing.Found([camera]))
     found, problem = listing.genicam_cameras()
-    assert found == [Found("genicam:SN1", "Maker Model, serial SN1, 10.0.0.2, GenICam")]
-    assert cameras.told([], found, problem, 80)[:2] == ["genicam:SN1", "  Maker Model, serial SN1, 10.0.0.2, GenICam"]
+    what, gives = "Maker Model, serial SN1, 10.0.0.2, GenICam", "Mono8 of Maker-SN1 at 10.0.0.2"
+    assert found == [Found("genicam:SN1", what, (gives,))]
+    assert cameras.told([], found, problem, 80)[:3] == ["genicam:SN1", f"  {what}", f"  {gives}"]
 
 
 def test_a_camera_that_cannot_be_used_is_none_to_serve() -> None:

@@ -18,7 +18,7 @@ class FoundCamera(NamedTuple):
     vendor: str
     model: str
     serial: str
-    address: str
+    place: "Place"
 
 
 class Found(NamedTuple):
@@ -42,7 +42,9 @@ def list_genicam() -> Found:
         cameras = listed()
     except WorldError as problem:
         return Found([], str(problem))
-    return Found([FoundCamera(_name(one, k, cameras), *one[1:5]) for k, one in enumerate(cameras)])
+    names = (_name(one, k, cameras) for k, one in enumerate(cameras))
+    told = zip(names, cameras, strict=True)
+    return Found([FoundCamera(name, one.vendor, one.model, one.serial, _place(one)) for name, one in told])
 
 
 def _name(one: Listed, index: int, cameras: list[Listed]) -> str:

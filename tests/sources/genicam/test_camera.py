@@ -46,7 +46,7 @@ def plugged_in(emulator: FakeCamera) -> Iterator[FakeCamera]:
 
 def test_it_is_listed_and_opened_by_any_of_its_names(plugged_in: FakeCamera) -> None:
     (found,) = [one for one in list_genicam().cameras if one.serial == SERIAL]
-    assert found == (f"genicam:{SERIAL}", "Aravis", "Fake", SERIAL, ADDRESS)
+    assert found == (f"genicam:{SERIAL}", "Aravis", "Fake", SERIAL, (ADDRESS, ADDRESS, SERIAL))
     for name in (found.name, BY_ADDRESS):
         camera = open_source(name, rig_with(), silent)
         assert isinstance(camera, Camera)

@@ -8,6 +8,7 @@ import pytest
 
 from asterism.protocol.capture import Capture
 from asterism.protocol.errors import InputError
+from asterism.server.sources.genicam import offers
 from asterism.server.sources.genicam.aravis import AravisError
 from asterism.server.sources.genicam.aravis_camera import EXPOSURE, GAIN, RATE, Steps
 from asterism.server.sources.genicam.aravis_stream import Raw
@@ -76,6 +77,9 @@ class StandIn:
 
     def set_region(self, *asked: int) -> None:
         self.at = tuple(before if value < 0 else value for before, value in zip(self.at, asked, strict=True))
+
+    def close(self) -> None:
+        self.done.append("close")
 
     def pixel_formats(self) -> list[str]:
         return ["BayerRG8", "Mono8", "Mono12p"]
@@ -185,6 +189,24 @@ def test_a_camera_that_does_not_bin_is_not_taken_for_one_that_does() -> None:
     apply(StandIn(), binning=1, size=(640, 480))
     with pytest.raises(InputError, match=r"^cam: capture.offset \[320, 161\]: expected multiples of the binning, 2$"):
         apply(StandIn(BinningHorizontal=1, BinningVertical=1), binning=2, size=(640, 480), offset=(320, 161))
+
+
+def test_what_a_camera_gives_is_listed_with_what_is_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(offers, "ArvCamera", lambda *_: StandIn(WidthMax=SENSOR[0], HeightMax=SENSOR[1]))
+    lines, problem = offers.offers_of("SN1", "")
+    assert lines == ("Mono8 Mono12p: up to 2448x2048 at up to 75 Hz as it is set", "not read: BayerRG8")
+    assert problem == ""
+
+
+def test_a_camera_that_cannot_be_asked_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(offers, "taken_by", lambda _: "a program on 10.0.0.9")
+    assert offers.offers_of("SN1", "10.0.0.2") == ((), "in use by a program on 10.0.0.9")
+
+    def broken(*_: str) -> StandIn:
+        raise AravisError("it does not answer")
+
+    monkeypatch.setattr(offers, "ArvCamera", broken)
+    assert offers.offers_of("SN1", "") == ((), "does not open (it does not answer)")
 
 
 def test_the_calibrations_size_is_called_that() -> None:
