@@ -18,7 +18,6 @@ from asterism.server.sources.genicam.aravis_camera import ArvCamera
 BUFFERS = 16
 SPARE = 4  # with so few left to Aravis images are copied
 SUCCESS = 0
-CLEARED = 1  # nothing was ever written to it: as root, Aravis may hand such ones back before the first frame
 _SOCKET_BUFFER = 1 << 25  # bytes; the kernel gives what net.core.rmem_max allows, or a frame
 _FIXED = 0
 _STEP_NS = (
@@ -60,6 +59,8 @@ class ArvStream:
         """Raises AravisError."""
         create = checked("arv_camera_create_stream", c_void_p, c_void_p, c_void_p, c_void_p)
         self._lock = threading.Lock()
+        if camera.is_gige():
+            camera.use_plain_sockets()
         self._pointer: int | None = create(camera.pointer, None, None)
         self._read_pointer = self._pointer
         self.port = 0  # of a GigE Vision camera's frames
@@ -77,7 +78,7 @@ class ArvStream:
 
     def next(self, timeout_s: float) -> Raw | None:
         """The next frame, whole or not; None where there is none within that time. For one thread."""
-        pointer = self._pop_written(timeout_s)
+        pointer = self._pop(self._read_pointer, round(timeout_s * 1e6))
         if pointer is None:
             return None
         # Close to each other; what is between them is an error of the time.
@@ -101,16 +102,6 @@ class ArvStream:
             data,
             pointer,
         )
-
-    def _pop_written(self, timeout_s: float) -> int | None:
-        """The next buffer that a frame came in, or was to come in."""
-        until_s = time.monotonic() + timeout_s
-        while (left_s := until_s - time.monotonic()) > 0:
-            pointer: int | None = self._pop(self._read_pointer, round(left_s * 1e6))
-            if pointer is None or _told("status", c_int, pointer) != CLEARED:
-                return pointer
-            self.take_back(pointer)
-        return None
 
     def is_short(self) -> bool:
         """Whether so many frames' memory is held that Aravis has little left."""
