@@ -9,6 +9,7 @@ from asterism.server.sources.genicam.aravis import GLIB, AravisError, checked, f
 
 # What Aravis finds under its names of all generations.
 EXPOSURE, GAIN, RATE = "exposure_time", "gain", "frame_rate"
+_NO_PACKET_SOCKET = 1  # ARV_GV_STREAM_OPTION_PACKET_SOCKET_DISABLED
 _OWNER_REGISTER = 0x0A14  # GigE Vision 2.0: address of the primary application
 
 
@@ -163,6 +164,13 @@ class ArvCamera:
     def negotiate_packets(self) -> int:
         """Find the largest packets that the way to the camera carries; returns their size, bytes."""
         return int(self._call("gv_auto_packet_size", c_uint)())
+
+    def use_plain_sockets(self) -> None:
+        """For its next stream. As root Aravis would listen to the whole card, and take packets of anybody that come
+        before its filter is set for frames.
+        """
+        set_options = function("arv_gv_device_set_stream_options", None, c_void_p, c_int)
+        set_options(self._device(), _NO_PACKET_SOCKET)
 
     def packet_size(self) -> int:
         """Bytes."""

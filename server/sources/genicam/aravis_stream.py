@@ -59,6 +59,8 @@ class ArvStream:
         """Raises AravisError."""
         create = checked("arv_camera_create_stream", c_void_p, c_void_p, c_void_p, c_void_p)
         self._lock = threading.Lock()
+        if camera.is_gige():
+            camera.use_plain_sockets()
         self._pointer: int | None = create(camera.pointer, None, None)
         self._read_pointer = self._pointer
         self.port = 0  # of a GigE Vision camera's frames
