@@ -15,8 +15,8 @@ import numpy as np
 from asterism.protocol.constellation import LEDS
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig
-from asterism.server.calibration.lens.bundle import pixels_by_lens
 from asterism.server.calibration.lens.camera_file import report_path
+from asterism.server.calibration.lens.values import pixels_by_lens
 from asterism.server.doctor.finding import Finding, Verdict
 from asterism.server.doctor.gather import Gathered, Sightings
 from asterism.server.doctor.patterns import SIGMAS, Strength, strengths

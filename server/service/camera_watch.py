@@ -20,7 +20,7 @@ import numpy as np
 from asterism.protocol.geometry import Floats
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig
-from asterism.server.calibration.lens.bundle import pixels_by_lens
+from asterism.server.calibration.lens.values import pixels_by_lens
 from asterism.server.pose.fit import LEDS
 from asterism.server.pose.place import turning
 from asterism.server.service.alarm import Finding, step_of

@@ -12,9 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from asterism.protocol.geometry import Floats, Pose
+from asterism.protocol.geometry import Floats, Pose, matrix_from_quat
 from asterism.protocol.messages import Fate
 from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import FrameResult
@@ -59,7 +58,7 @@ def sightings_of(rig: Rig, results: Sequence[FrameResult], T_camera_parent: Pose
         if name in numbers and isinstance(answer, PoseEstimate)
     ]
     n = len(seen)
-    turns = Rotation.from_quat(np.array([answer.orientation for _, _, answer in seen]).reshape(n, 4)).as_matrix()
+    turns = np.array([matrix_from_quat(answer.orientation) for _, _, answer in seen]).reshape(n, 3, 3)
     views = [_view(result, T_camera_parent) for _, result, _ in seen]
     rotations = np.array([view.rotation for view in views]).reshape(n, 3, 3)
     positions = np.array([answer.position for _, _, answer in seen]).reshape(n, 3, 1)

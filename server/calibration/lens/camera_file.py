@@ -9,8 +9,8 @@ import numpy as np
 
 from asterism.protocol.camera import Camera
 from asterism.protocol.geometry import Floats
-from asterism.server.calibration.lens.bundle import values_of
 from asterism.server.calibration.lens.fit import NAMES, CameraFit
+from asterism.server.calibration.lens.values import values_of
 
 _WORDS = ("true", "false", "null", "yes", "no", "on", "off", "y", "n")  # of YAML, 1.1 too
 

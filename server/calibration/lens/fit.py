@@ -15,13 +15,13 @@ from asterism.server.calibration.lens.board_points import Seen
 from asterism.server.calibration.lens.bundle import (
     State,
     View,
-    camera_of,
     cost_of,
     covariance_of,
     dot_radius,
     refine,
     residuals_of,
 )
+from asterism.server.calibration.lens.values import camera_of
 from asterism.server.pose.lens import lens_of, undistort
 
 NAMES = {

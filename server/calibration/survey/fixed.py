@@ -16,8 +16,8 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.rig import Rig, Robot
 from asterism.server.calibration.leds.observations import Sighting
-from asterism.server.calibration.lens.bundle import pixels_by_lens
 from asterism.server.calibration.lens.lens_error import pose_by_lens
+from asterism.server.calibration.lens.values import pixels_by_lens
 from asterism.server.calibration.survey.world_lens import RobotError, Shares
 from asterism.server.pose.fit import LEDS
 from asterism.server.pose.lens import lens_of, undistort

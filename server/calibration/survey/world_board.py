@@ -12,8 +12,9 @@ import numpy as np
 from asterism.protocol.camera import Camera
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose, exp_rotation
-from asterism.server.calibration.lens.bundle import State, View, dot_radius, dot_shift, pixels_by_lens
+from asterism.server.calibration.lens.bundle import State, View, dot_radius, dot_shift
 from asterism.server.calibration.lens.lens_error import pose_by_lens
+from asterism.server.calibration.lens.values import pixels_by_lens
 from asterism.server.pose.lens import lens_of, undistort
 
 CORRECTIONS = 3  # of what perspective does to dots

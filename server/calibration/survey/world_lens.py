@@ -17,8 +17,8 @@ from scipy.linalg import block_diag
 
 from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import Rig
-from asterism.server.calibration.lens.bundle import pixels_by_lens
 from asterism.server.calibration.lens.lens_error import pose_by_lens
+from asterism.server.calibration.lens.values import pixels_by_lens
 from asterism.server.calibration.survey.world import WorldFit
 from asterism.server.calibration.survey.world_table import (
     POSITION,

@@ -18,8 +18,8 @@ from asterism.server import Frame, PoseEstimate, Tracks, localize
 from asterism.server.__main__ import main
 from asterism.server.budget.uncertainty import read_uncertainty
 from asterism.server.calibration.leds.labelled import solve_sightings
-from asterism.server.calibration.lens.bundle import values_of
 from asterism.server.calibration.lens.lens_error import read_lens_error
+from asterism.server.calibration.lens.values import values_of
 from asterism.server.calibration.survey.refit import refit
 from asterism.server.calibration.survey.super_plane import choose_plane, fit_plane
 from asterism.server.calibration.survey.surveyed import Pairs
