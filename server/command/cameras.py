@@ -41,7 +41,7 @@ def told(v4l2: Sequence[Found], genicam: Sequence[Found], genicam_problem: str, 
     for remark in remarks:
         lines += _wrapped(remark, "", width)
     if usable := next((found.name for found in (*v4l2, *genicam) if not found.problem), ""):
-        lines += ["to localize what it sees:", f"  {typed('serve', 'rig.yaml', usable)}"]
+        lines += [*([""] if remarks else []), "to localize what it sees:", f"  {typed('serve', 'rig.yaml', usable)}"]
     return lines
 
 
