@@ -66,8 +66,7 @@ def test_where_there_is_none_it_says_where_it_looked_and_succeeds(
     monkeypatch.setattr(cameras, "genicam_cameras", lambda: ([], "libaravis is not installed"))
     from asterism.server.__main__ import main
 
-    monkeypatch.setattr("sys.argv", ["asterism", "cameras"])
-    assert main() == 0
+    assert main(["cameras"]) == 0
     told = capsys.readouterr().out
     assert "no V4L2 camera: there is no /dev/video* that gives images" in told
     assert "no GenICam camera: libaravis is not installed" in told
