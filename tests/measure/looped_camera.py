@@ -73,9 +73,9 @@ def serve_film(
 if __name__ == "__main__":
     film, rate, rig_file, *options = sys.argv[1:]
 
-    def open_source(name: str, rig: Rig | None, say: Say, topic: str | None = None) -> Camera:
-        return Camera(name, lambda: LoopedDevice(np.load(film, mmap_mode="r"), float(rate)), rig, say)
+    def open_fitting(name: str, rig: Rig, say: Say, topic: str | None = None) -> tuple[Rig, Camera]:
+        return rig, Camera(name, lambda: LoopedDevice(np.load(film, mmap_mode="r"), float(rate)), rig, say)
 
-    serve.open_source = open_source
+    serve.open_fitting = open_fitting
     sys.argv[1:] = ["serve", rig_file, "looped", *options]
     sys.exit(main())
