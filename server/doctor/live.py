@@ -10,11 +10,10 @@ from rich.text import Text
 
 from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame
-from asterism.server.doctor.blur import SHARP_PX, Blur, fit_blur
-from asterism.server.doctor.cuts import UNKNOWN
+from asterism.server.doctor.blur import SHARP_PX, Blur
 from asterism.server.doctor.exposure import check_bright_areas, check_exposure
 from asterism.server.doctor.finding import Finding
-from asterism.server.doctor.focus import check_focus
+from asterism.server.doctor.focus import blurs, check_focus
 from asterism.server.doctor.gather import Gathered, Gatherer
 from asterism.server.doctor.page import table_of
 
@@ -56,22 +55,10 @@ def watch(rig: Rig, frames: Iterator[Frame]) -> Iterator[Now]:
         gatherer.add(frame)
         if frame.exposed_ns - began_ns < EVERY_NS:
             continue
-        now = _now(gatherer.gathered(), _blurs(gatherer), best)
+        now = _now(gatherer.gathered(), blurs(gatherer.cutter.newest(NEWEST), rig), best)
         best = min(best, now.best_px)
         yield now
         gatherer = Gatherer(rig, gatherer.tracks)
-
-
-def _blurs(gatherer: Gatherer) -> dict[int, Blur]:
-    """All spots of all robots together: their LEDs' sizes are told by the rig."""
-    rig, cuts = gatherer.rig, gatherer.cutter.newest(NEWEST)
-    found = {}
-    for robot in sorted({cut.robot for cut in cuts}):
-        radius = rig.robots[robot].led_radius if robot != UNKNOWN else None
-        fitted = fit_blur([cut for cut in cuts if cut.robot == robot], radius)
-        if fitted is not None:
-            found[robot] = fitted
-    return found
 
 
 def _now(gathered: Gathered, found: dict[int, Blur], best: float) -> Now:

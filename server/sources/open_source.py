@@ -7,17 +7,15 @@ from pathlib import Path
 from asterism.protocol.errors import InputError
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig
-from asterism.server.sources.camera import Camera
 from asterism.server.sources.files import ImageFiles, image_files
 from asterism.server.sources.foreign.network import SCHEME, NetworkImages
 from asterism.server.sources.foreign.topic_frames import ForeignFrames, holds_topics, open_topics
-from asterism.server.sources.genicam.camera import RETRY_S as GENICAM_RETRY_S
-from asterism.server.sources.genicam.camera import GenicamCamera
+from asterism.server.sources.genicam.camera import genicam_camera
 from asterism.server.sources.genicam.listing import PREFIX
 from asterism.server.sources.images import EXTENSIONS
 from asterism.server.sources.recorded import RecordedFrames
 from asterism.server.sources.simulated import Simulated
-from asterism.server.sources.source import Expected, Say, Source
+from asterism.server.sources.source import Say, Source
 from asterism.server.sources.v4l2.camera import v4l2_camera
 from asterism.server.sources.v4l2.place import is_v4l2
 from asterism.server.sources.video import VideoFile
@@ -54,7 +52,7 @@ def _open(text: str, rig: Rig | None, say: Say, seed: int) -> Source:
     if is_v4l2(text):
         return v4l2_camera(text, rig, say)
     if text.startswith(PREFIX):
-        return _genicam(text, rig, say)
+        return genicam_camera(text, rig, say)
     path = Path(text)
     if path.is_dir():
         if any(map(_is_recorded, path.glob("*.mcap"))):
@@ -77,16 +75,6 @@ def _open(text: str, rig: Rig | None, say: Say, seed: int) -> Source:
     raise InputError(
         f"{text}: there is no such source; expected a camera (0, /dev/video0 or a link, genicam:SERIAL, zenoh:KEY), a "
         "folder or glob of images, a video, a recording, an MCAP file or a ROS bag, or sim"
-    )
-
-
-def _genicam(text: str, rig: Rig | None, say: Say) -> Camera:
-    which = text.removeprefix(PREFIX)
-    if not which:
-        raise InputError(f"{text}: expected a camera's serial number, IP address or index behind it")
-    expected = Expected(rig)
-    return Camera(
-        text, GenicamCamera(which, expected.capture, expected.size, say).open, rig, say, retry_s=GENICAM_RETRY_S
     )
 
 

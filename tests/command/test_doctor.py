@@ -150,14 +150,20 @@ class Steady:
         self.closed = True
 
 
-def test_a_live_camera_is_looked_at_for_its_time_and_let_go_of(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def steady_camera(monkeypatch: pytest.MonkeyPatch) -> Steady:
+    """Whatever source the command is given, it finds this one."""
     rig = load_rig(DEMO_RIG)
     scene = Scene(rig, 1)
     device = Steady(scene.render(0, scene.truth(0, 0.0)))
     camera = Camera("camera", lambda: device, rig, lambda _: None)
     monkeypatch.setattr(doctor, "open_fitting", lambda *_: (rig, camera))
+    return device
+
+
+def test_a_live_camera_is_looked_at_for_its_time_and_let_go_of(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    device = steady_camera(monkeypatch)
     assert main(["doctor", str(DEMO_RIG), "0", "--seconds", "0.5"]) == 1
     told = " ".join(capsys.readouterr().out.split())
     assert device.closed
@@ -169,11 +175,7 @@ def test_a_live_camera_is_looked_at_for_its_time_and_let_go_of(
 def test_the_live_page_lets_go_of_the_camera_at_ctrl_c(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rig = load_rig(DEMO_RIG)
-    scene = Scene(rig, 1)
-    device = Steady(scene.render(0, scene.truth(0, 0.0)))
-    camera = Camera("camera", lambda: device, rig, lambda _: None)
-    monkeypatch.setattr(doctor, "open_fitting", lambda *_: (rig, camera))
+    device = steady_camera(monkeypatch)
     shown = doctor.watch
 
     def once(*arguments: Any) -> Iterator[Now]:

@@ -80,6 +80,7 @@ class NetworkImages:
         self._comes = False  # something that is none, while there is a problem
         self._said_s = -SAID_EVERY_S
         self._subscriber: zenoh.Subscriber[None] | None = None
+        self._closed = False
 
     def join(self, session: "zenoh.Session", listens: bool) -> None:
         """Take what is published under the key in that session; ``listens``: publishers join its own listener.
@@ -101,7 +102,7 @@ class NetworkImages:
         stamps = RemoteStamps(self._expected.capture)
         # By when images arrived, not by when somebody has time for them.
         patience_ns, since_ns, last_ns = round(SILENT_S * 1e9), time.monotonic_ns(), None
-        while True:
+        while not self._closed:
             try:
                 arrived = self._arrived.get(timeout=max(since_ns + patience_ns - time.monotonic_ns(), 0) * 1e-9)
             except queue.Empty:
@@ -109,8 +110,8 @@ class NetworkImages:
                 patience_ns, since_ns, last_ns = round(SILENT_S * 1e9), time.monotonic_ns(), None
                 stamps = RemoteStamps(self._expected.capture)
                 continue
-            if arrived is None:
-                return
+            if arrived is None:  # of `close`
+                continue
             found = self._read(arrived)
             if found is None:
                 if arrived.at_ns > since_ns + patience_ns:
@@ -125,7 +126,8 @@ class NetworkImages:
             yield self._frame(*found, arrived, stamps)
 
     def close(self) -> None:
-        """Take no more, and end `frames`."""
+        """Take no more, and end `frames`, also where a message that was on its way takes the place of what wakes it."""
+        self._closed = True
         if self._subscriber is not None:
             self._subscriber.undeclare()
             self._subscriber = None

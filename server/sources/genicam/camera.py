@@ -5,10 +5,11 @@ import threading
 import time
 
 from asterism.protocol.capture import SOFTWARE, Capture
-from asterism.protocol.errors import WorldError
+from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.messages import Clock
+from asterism.protocol.rig import Rig
 from asterism.server.sources.background import in_background
-from asterism.server.sources.camera import Taken, Waiting
+from asterism.server.sources.camera import Camera, Taken, Waiting
 from asterism.server.sources.camera_clock import CameraClock
 from asterism.server.sources.genicam.aravis import AravisError
 from asterism.server.sources.genicam.aravis_camera import ArvCamera
@@ -20,7 +21,7 @@ from asterism.server.sources.genicam.listing import PREFIX, Place, find, find_ag
 from asterism.server.sources.genicam.lost_frames import LostFrames
 from asterism.server.sources.genicam.pixel_formats import BY_NUMBER, unpacked
 from asterism.server.sources.genicam.settings import Applied, apply_settings
-from asterism.server.sources.source import Say
+from asterism.server.sources.source import Expected, Say
 
 POP_S = 0.1
 RETRY_S = 0.2  # while it is away
@@ -30,6 +31,15 @@ CLOSING_S = 1.0  # that letting go of a camera takes which answers
 HELD_S = 3.5  # a camera is its program's after the last sign of life (GigE Vision's heartbeat: 3 s)
 _LOOK_EVERY = 4  # times that it is not where it was, the whole network is asked
 _PARTS = {"start": 0.5, "middle": 0.0, "end": -0.5}  # of the exposure, from the stamp to its middle
+
+
+def genicam_camera(text: str, rig: Rig | None, say: Say) -> Camera:
+    """The camera that ``text`` names, prefix and all. Raises as `GenicamCamera.open` does."""
+    which = text.removeprefix(PREFIX)
+    if not which:
+        raise InputError(f"{text}: expected a camera's serial number, IP address or index behind it")
+    expected = Expected(rig)
+    return Camera(text, GenicamCamera(which, expected.capture, expected.size, say).open, rig, say, retry_s=RETRY_S)
 
 
 class GenicamCamera:

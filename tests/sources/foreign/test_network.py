@@ -22,6 +22,7 @@ from asterism.server.sources.foreign.network import COMPRESSED, RAW, NetworkImag
 from asterism.server.sources.foreign.remote_stamps import SET_NS, RemoteStamps
 from asterism.server.sources.open_source import open_source, refuse_endless
 from asterism.server.sources.source import LiveSource
+from tests.clients.serving import until
 from tests.rigs import make_camera, make_rig
 from tests.servers import free_endpoint
 from tests.sources.foreign.foreign_files import compressed, raw
@@ -123,18 +124,14 @@ def test_silence_is_said_and_so_is_the_return(wire: Wire, monkeypatch: pytest.Mo
 
 def test_who_has_no_time_for_them_is_not_told_that_none_come(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("asterism.server.sources.foreign.network.SILENT_S", 0.001)
-    here = threading.Event()
-    last = wire.server.declare_subscriber("last", lambda _: here.set())
     for k in range(3):
         wire.put(raw(pattern(k), k + 1).SerializeToString())
-    wire.stranger.put("last", b"")
-    assert here.wait(20.0)
+    until(lambda: wire.source._arrived.qsize() == 3)
     frames = wire.source.frames()
     for k in range(3):
         assert next(frames).index == k
         time.sleep(0.01)  # who takes them is busy
     assert wire.said == []
-    last.undeclare()
 
 
 def test_what_comes_instead_of_images_is_said(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -154,6 +151,7 @@ def test_what_comes_instead_of_images_is_said(wire: Wire, monkeypatch: pytest.Mo
     flooding.join()
     wire.source.close()
     taking.join(10.0)
+    assert not taking.is_alive()
 
 
 def hostile() -> list[tuple[bytes, str]]:
