@@ -1,7 +1,6 @@
 """asterism serve: localize what a source shows, publish it, record it."""
 
 import argparse
-from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
@@ -13,6 +12,7 @@ from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.fitted_rig import open_fitting
 from asterism.server.command.number_arguments import count, port, positive, size
+from asterism.server.command.outlets import add_outlets, open_outlets
 from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing, add_topic, named
 from asterism.server.output import check_folder_of_many
 from asterism.server.service.live_line import LiveLine
@@ -20,7 +20,7 @@ from asterism.server.service.on_air import Place, on_air
 from asterism.server.service.recovery import Recovery
 from asterism.server.service.reload import reload_on_hangup
 from asterism.server.service.say import say, say_warnings
-from asterism.server.service.serve import Outlets, Run, Sink, Stop, stop_on_signals
+from asterism.server.service.serve import Outlets, Run, Stop, stop_on_signals
 from asterism.server.sources.camera import clock_of
 from asterism.server.sources.foreign.network import NetworkImages
 from asterism.server.sources.source import Source
@@ -58,7 +58,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     part.add_argument(
         "--metrics", metavar="PORT", type=port, help="health for Prometheus at http://127.0.0.1:PORT/metrics"
     )
-    part.add_argument("--rerun", action="store_true", help="show everything in the rerun viewer while it happens")
+    add_outlets(part)
     add_smoothing(part)
     add_server(part)
 
@@ -89,20 +89,14 @@ def run(options: argparse.Namespace) -> int:
         if isinstance(source, NetworkImages):
             source.join(air.session, listens=not joins(place.connect, place.options))
         last.enter_context(stop_on_signals(stop))  # until all is closed: a second Ctrl-C changes nothing
-        sinks: tuple[Sink, ...] = ()
-        rig_takers: tuple[Callable[[Rig], None], ...] = ()
-        if options.rerun:
-            from asterism.server.service.live_view import LiveView
-
-            view = stack.enter_context(LiveView(rig))
-            sinks, rig_takers = (view.write,), (view.take_rig,)
+        others = open_outlets(options, rig, stack)
         robots = f"{len(rig.robots)} robot{'s' * (len(rig.robots) > 1)}"
         say(f"serving {robots} of camera '{rig.camera.name}' from {source.name} at {place}")
         recorder = _recorder(options, rig, source)
+        begun = None
         if recorder is not None:
-            rig_takers = (*rig_takers, recorder.take_rig)
-            sinks = (*sinks, stack.enter_context(Recovery(options.record, rig.camera.name, say)).begin)
-        served = Run(rig, source, Outlets(air.publisher, recorder, sinks, rig_takers), stop, clock, options.rig)
+            begun = stack.enter_context(Recovery(options.record, rig.camera.name, say)).begin
+        served = Run(rig, source, Outlets(air.publisher, recorder, others, begun), stop, clock, options.rig)
         if served.reloader is not None:
             last.enter_context(reload_on_hangup(served.reloader))
         if collector is not None:

@@ -10,7 +10,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import rerun as rr
@@ -23,6 +22,7 @@ from asterism.recordings.drawing import APPLICATION, Drawing
 from asterism.recordings.layout import blueprint
 from asterism.server.chain.frame import Frame
 from asterism.server.service.say import say
+from asterism.server.service.threads import Newest
 
 
 class LiveView:
@@ -48,12 +48,9 @@ class LiveView:
             say(f"no display for the viewer; connect one with: rerun {url}")
         self._stream = rr.RecordingStream(APPLICATION)
         self._stream.connect_grpc(url, default_blueprint=blueprint(rig))
-        self._rig = rig
-        self._ready = threading.Condition()
-        self._newest: tuple[list[Message], Frame, Rig] | None = None
-        self._closed = False
-        self._thread = threading.Thread(target=self._run, name="live-view", daemon=True)
-        self._thread.start()
+        self._rig = self._drawn = rig
+        self._drawing = Drawing(self._stream, rig)
+        self._shown = Newest(self._show, "live-view")
 
     def take_rig(self, rig: Rig) -> None:
         """Another rig is in force for the frames from now on."""
@@ -61,16 +58,14 @@ class LiveView:
 
     def write(self, messages: list[Message], frame: Frame) -> None:
         """Show this frame when the viewer gets to it."""
-        with self._ready:
-            self._newest = (messages, frame, self._rig)
-            self._ready.notify()
+        self._shown.give((messages, frame, self._rig))
+
+    def status(self, messages: list[Message]) -> None:
+        """Its views have no place for it."""
 
     def close(self) -> None:
         """Stop showing; the viewer's window stays until it is closed."""
-        with self._ready:
-            self._closed = True
-            self._ready.notify()
-        self._thread.join(timeout=5.0)
+        self._shown.close()
         self._stream.disconnect()
         if self._viewer.args[-1] == "--serve-grpc":  # type: ignore[index]
             # The program on the path only starts the viewer proper.
@@ -84,20 +79,11 @@ class LiveView:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _run(self) -> None:
-        drawn = self._rig
-        drawing = Drawing(self._stream, drawn)
-        while True:
-            with self._ready:
-                self._ready.wait_for(lambda: self._newest is not None or self._closed)
-                if self._closed:
-                    return
-                assert self._newest is not None
-                messages, frame, rig = self._newest
-                self._newest = None
-            if rig is not drawn:
-                drawn, drawing = rig, drawing.replaced_by(rig)
-            drawing.image(frame.image, frame.exposed_ns, frame.index)
-            for message in messages:
-                if message.kind == FRAME_REPORT:
-                    drawing.report(decode_frame_report(message.payload))
+    def _show(self, shown: tuple[list[Message], Frame, Rig]) -> None:
+        messages, frame, rig = shown
+        if rig is not self._drawn:
+            self._drawn, self._drawing = rig, self._drawing.replaced_by(rig)
+        self._drawing.image(frame.image, frame.exposed_ns, frame.index)
+        for message in messages:
+            if message.kind == FRAME_REPORT:
+                self._drawing.report(decode_frame_report(message.payload))

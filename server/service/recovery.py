@@ -30,7 +30,7 @@ class Recovery:
         self._thread = threading.Thread(target=self._run, name="recovery", daemon=True)
         self._thread.start()
 
-    def begin(self, *_: object) -> None:
+    def begin(self) -> None:
         """There is a frame."""
         if not self._begun.is_set():
             self._begun.set()

@@ -9,10 +9,8 @@ from typing import NamedTuple
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.codec import encode_rig, to_bytes
-from asterism.protocol.messages import Message
 from asterism.protocol.rig import Rig
 from asterism.recordings.recorder import Recorder
-from asterism.server.chain.frame import Frame
 from asterism.server.chain.pipeline import localize
 from asterism.server.chain.report import report
 from asterism.server.chain.smooth import Motions, smooth
@@ -24,6 +22,7 @@ from asterism.server.service.disk import Disk
 from asterism.server.service.drift import Drift
 from asterism.server.service.health import Health
 from asterism.server.service.live_line import Now
+from asterism.server.service.outlets import Outlet
 from asterism.server.service.publish import Publisher
 from asterism.server.service.reload import Outcome, Reloader, settings_left
 from asterism.server.service.say import complain, say, say_warnings
@@ -37,16 +36,14 @@ STATUS_EVERY_S = 1.0
 BREATH_S = 0.001  # of the thread that looks at drift: frames do not wait for it to be done
 SILENT_S = 0.5  # after that long without a frame no robot counts as visible
 
-Sink = Callable[[list[Message], Frame], None]
-
 
 class Outlets(NamedTuple):
     """Where every frame's messages go."""
 
     publisher: Publisher
     recorder: Recorder | None = None
-    sinks: tuple[Sink, ...] = ()
-    rig_takers: tuple[Callable[[Rig], None], ...] = ()  # sinks that must know when the rig becomes another
+    others: tuple[Outlet, ...] = ()
+    begun: Callable[[], None] | None = None  # called with every frame: there is one
 
 
 class Stop:
@@ -198,6 +195,8 @@ class Run:
         status = self.outlets.publisher.publish([self.health.message(now, self.clock.session)])
         if self.outlets.recorder is not None:
             self.outlets.recorder.write(status, None, now, 0)
+        for outlet in self.outlets.others:
+            outlet.status(status)
         if self._disk is not None:
             self._disk.look()
         self._adviser.look()
@@ -229,8 +228,10 @@ class Run:
             self._drift.add(result)
             if recorder is not None:
                 recorder.write(messages, frame.image, frame.exposed_ns, frame.index)
-            for sink in self.outlets.sinks:
-                sink(messages, frame)
+            for outlet in self.outlets.others:
+                outlet.write(messages, frame)
+            if self.outlets.begun is not None:
+                self.outlets.begun()
             self._systemd.alive()
 
     def _reloaded(self, outcome: Outcome, tracks: Tracks, motions: Motions) -> tuple[Tracks, Motions]:
@@ -257,8 +258,10 @@ class Run:
         self.health.tally.change_robots(robot.id for robot in rig.robots)
         self._adviser = Adviser(rig, self.health.tally, say)
         self._drift = self._drift.with_rig(rig)
-        for take in self.outlets.rig_takers:
-            take(rig)
+        if self.outlets.recorder is not None:
+            self.outlets.recorder.take_rig(rig)
+        for outlet in self.outlets.others:
+            outlet.take_rig(rig)
 
     def _answer_for_rig(self) -> None:
         """What the `rig` queryable tells: the rig in force, and how reading it again went."""

@@ -8,7 +8,7 @@ import pytest
 from asterism.protocol.capture import Capture
 from asterism.protocol.codec import decode_frame_report, decode_odometry
 from asterism.protocol.messages import Clock, Message
-from asterism.protocol.rig import load_rig
+from asterism.protocol.rig import Rig, load_rig
 from asterism.server.chain.frame import Frame
 from asterism.server.chain.pipeline import localize
 from asterism.server.pose.solve import PoseEstimate
@@ -42,7 +42,7 @@ class Served:
         source = v4l2_camera("0", self.rig, self.said.append, self.system)
         source.retry_s = 0.001
         self.stop, self.clock = Stop(), source.clock
-        self.run = Run(self.rig, source, Outlets(Nobody(), sinks=(self._take,)), self.stop, source.clock)
+        self.run = Run(self.rig, source, Outlets(Nobody(), others=(self,)), self.stop, source.clock)
         self.run.serve()
 
     def _plugged(self) -> StandInCamera:
@@ -57,13 +57,22 @@ class Served:
         self.stamps_ns.append(stamp_ns)
         return Buffer(self.film[number % FILM], stamp_ns, 2 * number, MONOTONIC_AT_START)  # every other one is lost
 
-    def _take(self, messages: list[Message], frame: Frame) -> None:
+    def write(self, messages: list[Message], frame: Frame) -> None:
         self.solved.append((frame, messages))
         if len(self.solved) == PULLED:
             self.camera.unplug()
             self.system.cameras = {"/dev/video3": self._plugged()}
         if len(self.solved) == ALL:
             self.stop.set()
+
+    def status(self, messages: list[Message]) -> None:
+        """Not looked at."""
+
+    def take_rig(self, rig: Rig) -> None:
+        """It stays as it is."""
+
+    def close(self) -> None:
+        """Nothing is held."""
 
 
 @pytest.fixture(scope="module")
