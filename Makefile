@@ -26,7 +26,8 @@ demo: .venv/installed ## five simulated robots: localized, published, recorded, 
 	$(BIN)/asterism demo
 
 test: .venv/installed ## the test suite
-	$(BIN)/python -m pytest -q
+	@# A file's tests stay together: they share what their fixtures made.
+	$(BIN)/python -m pytest -q --numprocesses=2 --dist=loadfile
 
 check: .venv/installed ## formatting, lint, types
 	$(BIN)/ruff format --check .

@@ -14,11 +14,21 @@ from asterism.server.chain.warm_up import warm_up
 from asterism.server.service.telling import telling
 
 
+def _compile(config: pytest.Config) -> None:
+    with config.pluginmanager.getplugin("capturemanager").global_and_fixture_disabled(), telling():
+        warm_up(BLOBS, *ESTIMATORS, LOCALIZE, SIMULATE, CHECK, DESIGN)
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Where several processes share the tests, it is compiled once, before they are started."""
+    if session.config.getoption("numprocesses", None):
+        _compile(session.config)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _compiled(pytestconfig: pytest.Config) -> None:
     """No test's clock or output is disturbed by what happens only at the first start on a machine, which is shown."""
-    with pytestconfig.pluginmanager.getplugin("capturemanager").global_and_fixture_disabled(), telling():
-        warm_up(BLOBS, *ESTIMATORS, LOCALIZE, SIMULATE, CHECK, DESIGN)
+    _compile(pytestconfig)
 
 
 @pytest.fixture(scope="session", autouse=True)
