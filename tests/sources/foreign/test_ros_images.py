@@ -22,9 +22,9 @@ from asterism.server.sources.foreign.ros_images import RosImages, info_topic
 from asterism.server.sources.foreign.ros_messages import CameraInfoTold
 from asterism.server.sources.open_source import open_source, refuse_endless
 from tests.clients.serving import until
-from tests.protocol.ros2.ros_store import in_bytes, made
 from tests.rigs import make_camera, make_rig
 from tests.servers import free_endpoint
+from tests.sources.foreign.foreign_files import ROS2, camera_info, ros_compressed, ros_image
 
 RIG = make_rig(2, camera=make_camera(64, 48, 80.0))
 TOPIC, DOMAIN = "/front/image_raw", 5
@@ -32,53 +32,18 @@ IMAGE = np.random.default_rng(3).integers(0, 256, (48, 64)).astype(np.uint8)
 S = 10**9
 
 
-def header(stamp_ns: int, frame_id: str) -> object:
-    sec, nanosec = divmod(stamp_ns, S)
-    return made(
-        "std_msgs/msg/Header",
-        stamp=made("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec),
-        frame_id=frame_id,
-    )
+def written(message: object) -> bytes:
+    return bytes(ROS2.serialize_cdr(message, message.__msgtype__))  # type: ignore[attr-defined]
 
 
-def image(stamp_ns: int, frame_id: str = "front") -> bytes:
-    height, width = IMAGE.shape
-    return in_bytes(
-        made(
-            "sensor_msgs/msg/Image",
-            header=header(stamp_ns, frame_id),
-            height=height,
-            width=width,
-            encoding="mono8",
-            is_bigendian=0,
-            step=width,
-            data=IMAGE.ravel(),
-        )
-    )
+def image(stamp_ns: int) -> bytes:
+    return written(ros_image(IMAGE, stamp_ns))
 
 
-def compressed(stamp_ns: int) -> bytes:
-    data = cv2.imencode(".png", IMAGE)[1].ravel()
-    return in_bytes(made("sensor_msgs/msg/CompressedImage", header=header(stamp_ns, "front"), format="png", data=data))
-
-
-def info(camera: Camera, stamp_ns: int = 0) -> bytes:
-    return in_bytes(
-        made(
-            "sensor_msgs/msg/CameraInfo",
-            header=header(stamp_ns, "front"),
-            height=camera.height,
-            width=camera.width,
-            distortion_model=camera.model,
-            d=camera.distortion,
-            k=camera.matrix.ravel(),
-            r=np.eye(3).ravel(),
-            p=np.zeros(12),
-            binning_x=0,
-            binning_y=0,
-            roi=made("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
-        )
-    )
+def info(camera: Camera, sec: int = 0) -> bytes:
+    told = camera_info(camera.matrix.ravel().tolist(), camera.distortion.tolist(), (camera.width, camera.height))
+    payload = written(told)
+    return payload[:4] + sec.to_bytes(4, "little") + payload[8:]
 
 
 class Topic:
@@ -125,7 +90,8 @@ def topic() -> Iterator[Topic]:
 def test_images_of_both_types_and_any_hash(topic: Topic) -> None:
     topic.put(types.IMAGE, image(10 * S), domain=DOMAIN + 1)
     topic.put(types.IMAGE, image(10 * S))
-    topic.put(types.COMPRESSED_IMAGE, compressed(10 * S + 20_000_000))
+    png = cv2.imencode(".png", IMAGE)[1].tobytes()
+    topic.put(types.COMPRESSED_IMAGE, written(ros_compressed(png, 10 * S + 20_000_000, "png")))
     topic.put(types.IMAGE, image(10 * S + 40_000_000), told_hash="TypeHashNotSupported")
     until(lambda: len(topic.frames) == 3)
     for frame in topic.frames:
@@ -149,8 +115,8 @@ def test_a_calibration_that_is_not_the_rigs_is_said_once(topic: Topic) -> None:
     assert topic.said == []
     moved = RIG.camera.matrix.copy()
     moved[0, 0] *= 1.02
-    for stamp_ns in range(3):
-        topic.put(types.CAMERA_INFO, info(replace(RIG.camera, matrix=moved), stamp_ns))
+    for sec in range(3):
+        topic.put(types.CAMERA_INFO, info(replace(RIG.camera, matrix=moved), sec))
     topic.put(types.CAMERA_INFO, info(replace(RIG.camera, width=128, height=96)))
     topic.put(types.CAMERA_INFO, info(RIG.camera)[:60])
     until(lambda: len(topic.said) >= 3)
