@@ -95,6 +95,11 @@ INFO_TYPES: dict[tuple[str, str], Callable[[bytes], CameraInfoTold]] = {
 }
 
 
+def camera_of(told: CameraInfoTold, source: str, name: str) -> Camera:
+    """The camera that a message tells of, for the images as they come. Raises InputError."""
+    return _camera(told, "", source, None, name).camera
+
+
 def _camera(told: CameraInfoTold, kind: str, source: str, model: str | None, name: str) -> ForeignCamera:
     """The camera, checked, for the images as they come."""
     if not (16 <= told.width <= 65_535 and 16 <= told.height <= 65_535):

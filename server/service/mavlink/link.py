@@ -51,15 +51,16 @@ class Link:
         """Send a heartbeat: routers learn from it who is here."""
         self._send(wire.HEARTBEAT, wire.HEARTBEAT.fields.pack(*wire.ALIVE))
 
-    def answer(self, now_ns: int | None) -> None:
-        """Take in what has come, and answer a question for the time (TIMESYNC), where the time is known, ns since the
-        epoch. Raises OSError where nothing has come.
+    def answer(self, now_ns: int) -> None:
+        """Take in what has come, and answer a question for the time (TIMESYNC) with ``now_ns`` since the epoch.
+
+        Raises OSError where nothing has come.
         """
         try:
             asked = wire.unframed(wire.TIMESYNC, self.to.recv(LONGEST))
         except ConnectionRefusedError:  # of what was sent before
             return
-        if asked is not None and asked[0] == 0 and now_ns is not None:
+        if asked is not None and asked[0] == 0:
             self._send(wire.TIMESYNC, wire.TIMESYNC.fields.pack(now_ns, asked[1]))
 
     def _send(self, kind: wire.Kind, payload: bytes) -> None:

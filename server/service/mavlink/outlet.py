@@ -4,7 +4,6 @@ import contextlib
 import select
 import socket
 import threading
-import time
 
 from asterism.protocol.codec import decode_odometry
 from asterism.protocol.errors import InputError
@@ -14,6 +13,7 @@ from asterism.server.chain.frame import Frame
 from asterism.server.service.backlog import Backlog
 from asterism.server.service.mavlink.endpoint import Endpoint, joined, system_of
 from asterism.server.service.mavlink.link import Link
+from asterism.server.service.publish import Clock
 from asterism.server.service.say import say
 
 MOST_WAITING = 30  # frames: a pose that is older is worth nothing to who flies by it
@@ -21,13 +21,13 @@ WORLD = "world"
 
 
 class Mavlink:
-    """Sends to these endpoints until it is closed.
+    """Sends to these endpoints until it is closed; ``clock`` is the one that stamps poses.
 
     Raises InputError for a robot that the rig does not know, a host that is none, a rig without `world`: its poses are
     in the camera's frame, in which down is where the camera looks.
     """
 
-    def __init__(self, rig: Rig, endpoints: list[Endpoint]) -> None:
+    def __init__(self, rig: Rig, endpoints: list[Endpoint], clock: Clock) -> None:
         if rig.parent_frame != WORLD:
             raise InputError(
                 f"--mavlink: the rig has no `world`, so poses are in the frame of camera '{rig.camera.name}'; expected "
@@ -42,7 +42,7 @@ class Mavlink:
             self._hang_up()
             raise
         self._rig = rig
-        self._clock: tuple[int, int] | None = None  # session, its clock less the monotonic one, ns
+        self._clock = clock
         self._backlog: Backlog[list[Message]] = Backlog(self._send, "mavlink", MOST_WAITING)
         self._wake, self._woken = socket.socketpair()
         self._answering = threading.Thread(target=self._answer, name="mavlink-time", daemon=True)
@@ -50,12 +50,8 @@ class Mavlink:
         for where, system in zip(endpoints, systems, strict=True):
             say(f"MAVLink to {where.host}:{where.port}: {where.robot}, as system {system}")
 
-    def write(self, messages: list[Message], frame: Frame) -> None:
+    def write(self, messages: list[Message], frame: Frame) -> None:  # noqa: ARG002
         """Send the frame's poses when it is their turn."""
-        # The frame's last message was stamped a little while ago: the shortest while there was is the nearest to none.
-        ahead = messages[-1].publish_ns - time.monotonic_ns()
-        if self._clock is None or self._clock[0] != frame.session or self._clock[1] < ahead:
-            self._clock = (frame.session, ahead)
         self._backlog.give(messages)
 
     def status(self, messages: list[Message]) -> None:
@@ -102,5 +98,4 @@ class Mavlink:
                 return
             for one in ready:
                 with contextlib.suppress(OSError):
-                    clock = self._clock
-                    by_socket[one].answer(None if clock is None else time.monotonic_ns() + clock[1])
+                    by_socket[one].answer(self._clock.now_ns())

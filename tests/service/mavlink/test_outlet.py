@@ -21,6 +21,7 @@ from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, STATUS, Message, 
 from asterism.server.chain.frame import Frame
 from asterism.server.service.mavlink.endpoint import Endpoint, endpoint
 from asterism.server.service.mavlink.outlet import Mavlink
+from asterism.server.sources.session_clock import SessionClock
 from tests.helpers import random_pose
 from tests.rigs import make_rig
 
@@ -28,6 +29,13 @@ RIG = make_rig(2, T_world_camera=Pose.identity())
 SECOND_NS = 10**9
 EXPOSED_NS = 1_800_000_000 * SECOND_NS
 TIMEOUT_S = 20.0
+
+
+class Stopped(SessionClock):
+    """A clock at whose time everything happens."""
+
+    def now_ns(self, session: int | None = None) -> int:  # noqa: ARG002
+        return EXPOSED_NS
 
 
 class FlightController:
@@ -52,11 +60,11 @@ class FlightController:
 
 
 @contextmanager
-def flying(*robots: str) -> Iterator[tuple[Mavlink, list[FlightController]]]:
+def flying(*robots: str, clock: SessionClock | None = None) -> Iterator[tuple[Mavlink, list[FlightController]]]:
     """The outlet to one flight controller for each of the robots."""
     controllers = [FlightController() for _ in robots]
     to = [Endpoint(robot, "127.0.0.1", one.port) for robot, one in zip(robots, controllers, strict=True)]
-    outlet = Mavlink(RIG, to)
+    outlet = Mavlink(RIG, to, clock or SessionClock())
     try:
         yield outlet, controllers
     finally:
@@ -71,10 +79,10 @@ def told_of(robot: str, pose: Pose, at_s: float = 0.0, **more: object) -> RobotP
     return replace(told, **more)  # type: ignore[arg-type]
 
 
-def write(outlet: Mavlink, *told: RobotPose, published_ns: int = EXPOSED_NS) -> None:
+def write(outlet: Mavlink, *told: RobotPose) -> None:
     messages = [Message(one.robot, ODOMETRY, encode_odometry(one), one.exposed_ns, 0, 5) for one in told]
     report = to_bytes(pb.FrameReport(sequence=5))
-    messages.append(Message("frame", FRAME_REPORT, report, EXPOSED_NS, published_ns, 5))
+    messages.append(Message("frame", FRAME_REPORT, report, EXPOSED_NS, 0, 5))
     outlet.write(messages, Frame(np.zeros((4, 4), np.uint8), 5, EXPOSED_NS, session=7))
 
 
@@ -119,24 +127,22 @@ def test_jumps_are_counted_and_doubt_is_told(rng: np.random.Generator) -> None:
         assert resets(at_s=2.12, session=8) == 3
 
 
-def test_the_heart_beats_and_the_time_is_told_to_who_asks(rng: np.random.Generator) -> None:
-    with flying("r00") as (outlet, (controller,)):
+def test_the_heart_beats_and_the_time_is_told_to_who_asks() -> None:
+    clock = Stopped()
+    with flying("r00", clock=clock) as (outlet, (controller,)):
         outlet.status([Message("status", STATUS, b"", 0, 0, 0)])
         assert controller.next("HEARTBEAT").get_srcSystem() == 1
-        controller.send(theirs.MAVLink_timesync_message(0, 77))  # no frame came yet: there is no time
-        write(outlet, told_of("r00", random_pose(rng)))
-        controller.next("ODOMETRY")
         controller.send(theirs.MAVLink_timesync_message(5, 78))  # an answer of its own, no question
         controller.send(theirs.MAVLink_timesync_message(0, 79))
         answer = controller.next("TIMESYNC")
         assert answer.ts1 == 79
-        assert 0 <= answer.tc1 - EXPOSED_NS < TIMEOUT_S * SECOND_NS
+        assert answer.tc1 == clock.now_ns()
 
 
 def test_nobody_there_is_no_trouble(rng: np.random.Generator, caplog: pytest.LogCaptureFixture) -> None:
     controller = FlightController()
     controller.socket.close()
-    outlet = Mavlink(RIG, [Endpoint("r00", "127.0.0.1", controller.port)])
+    outlet = Mavlink(RIG, [Endpoint("r00", "127.0.0.1", controller.port)], SessionClock())
     for k in range(5):
         write(outlet, told_of("r00", random_pose(rng), at_s=0.1 * k))
     outlet.close()
@@ -165,9 +171,10 @@ def test_what_is_no_endpoint_is_refused(text: str) -> None:
 
 
 def test_robots_hosts_and_rigs_that_cannot_be_are_refused() -> None:
+    clock = SessionClock()
     with pytest.raises(InputError, match=r"no robot 'nobody', expected one of r00, r01"):
-        Mavlink(RIG, [Endpoint("nobody", "127.0.0.1", 1)])
+        Mavlink(RIG, [Endpoint("nobody", "127.0.0.1", 1)], clock)
     with pytest.raises(InputError, match=r"--mavlink r00=no\.\.host:1: no such host"):
-        Mavlink(RIG, [Endpoint("r01", "127.0.0.1", 1), Endpoint("r00", "no..host", 1)])
+        Mavlink(RIG, [Endpoint("r01", "127.0.0.1", 1), Endpoint("r00", "no..host", 1)], clock)
     with pytest.raises(InputError, match="no `world`"):
-        Mavlink(make_rig(1), [Endpoint("r00", "127.0.0.1", 1)])
+        Mavlink(make_rig(1), [Endpoint("r00", "127.0.0.1", 1)], clock)
