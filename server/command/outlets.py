@@ -35,6 +35,14 @@ def add_outlets(part: argparse.ArgumentParser) -> None:
         default=[],
         help="send a robot's poses to its flight controller over UDP; may be given for several",
     )
+    part.add_argument(
+        "--natnet",
+        metavar="ADDRESS",
+        nargs="?",
+        type=_natnet_address,
+        const=("127.0.0.1", 1510),
+        help="answer programs that read OptiTrack's Motive, there (default: 127.0.0.1:1510)",
+    )
 
 
 def ros_place(options: argparse.Namespace, rig: Rig) -> names.RosPlace | None:
@@ -71,10 +79,24 @@ def _namespace(text: str) -> str:
     return names.clean_namespace(text)
 
 
+def check_outlets(options: argparse.Namespace, rig: Rig) -> None:
+    """Refuse with an InputError what cannot be with this rig, before anything is begun."""
+    if options.mavlink:
+        from asterism.server.service.mavlink.endpoint import systems_of
+
+        systems_of(options.mavlink, rig)
+
+
 def _flight_controller(text: str) -> "Endpoint":
     from asterism.server.service.mavlink.endpoint import endpoint
 
     return endpoint(text)
+
+
+def _natnet_address(text: str) -> tuple[str, int]:
+    from asterism.server.service.natnet.address import address
+
+    return address(text)
 
 
 def _open_ros(
@@ -111,4 +133,8 @@ def open_outlets(options: argparse.Namespace, rig: Rig, air: OnAir, stack: ExitS
         from asterism.server.service.mavlink.outlet import Mavlink
 
         add(Mavlink(rig, options.mavlink, air.publisher.clock))
+    if options.natnet is not None:
+        from asterism.server.service.natnet.outlet import NatNet
+
+        add(NatNet(rig, *options.natnet))
     return tuple(opened)

@@ -1,11 +1,13 @@
 """Where each robot's flight controller is: ROBOT=HOST:PORT of the command line."""
 
 import socket
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from asterism.protocol.errors import InputError
 from asterism.protocol.rig import Rig
 
+WORLD = "world"  # the frame of poses where the rig has one
 EXPECTED = "expected ROBOT=HOST:PORT such as alpha=127.0.0.1:14550"
 _MOST_SYSTEMS = 254  # of MAVLink; 255 is the ground station's by custom
 
@@ -33,8 +35,21 @@ def endpoint(text: str) -> Endpoint:
     return Endpoint(robot, plain, int(port))
 
 
-def system_of(robot: str, rig: Rig) -> int:
-    """The MAVLink system that a robot is: its place in the rig, from 1. Raises InputError for one it does not know."""
+def systems_of(endpoints: Sequence[Endpoint], rig: Rig) -> list[int]:
+    """The MAVLink system that each endpoint's robot is: its place in the rig, from 1.
+
+    Raises InputError for a robot that the rig does not know, and for a rig without `world`: its poses are in the
+    camera's frame, in which down is where nobody knows.
+    """
+    if rig.parent_frame != WORLD:
+        raise InputError(
+            f"--mavlink: the rig has no `world`, so poses are in the frame of camera '{rig.camera.name}'; expected one "
+            "with z up (`asterism calibrate world`)"
+        )
+    return [_system_of(where.robot, rig) for where in endpoints]
+
+
+def _system_of(robot: str, rig: Rig) -> int:
     known = [known.id for known in rig.robots]
     if robot not in known:
         raise InputError(f"--mavlink: the rig has no robot {robot!r}, expected one of {', '.join(known)}")

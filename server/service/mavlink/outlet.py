@@ -11,29 +11,22 @@ from asterism.protocol.messages import ODOMETRY, STATUS, Message
 from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame
 from asterism.server.service.backlog import Backlog
-from asterism.server.service.mavlink.endpoint import Endpoint, joined, system_of
+from asterism.server.service.mavlink.endpoint import WORLD, Endpoint, joined, systems_of
 from asterism.server.service.mavlink.link import Link
 from asterism.server.service.publish import Clock
 from asterism.server.service.say import say
 
 MOST_WAITING = 30  # frames: a pose that is older is worth nothing to who flies by it
-WORLD = "world"
 
 
 class Mavlink:
     """Sends to these endpoints until it is closed; ``clock`` is the one that stamps poses.
 
-    Raises InputError for a robot that the rig does not know, a host that is none, a rig without `world`: its poses are
-    in the camera's frame, in which down is where the camera looks.
+    Raises InputError as `systems_of` does, and for a host that is none.
     """
 
     def __init__(self, rig: Rig, endpoints: list[Endpoint], clock: Clock) -> None:
-        if rig.parent_frame != WORLD:
-            raise InputError(
-                f"--mavlink: the rig has no `world`, so poses are in the frame of camera '{rig.camera.name}'; expected "
-                "one with z up (`asterism calibrate world`)"
-            )
-        systems = [system_of(where.robot, rig) for where in endpoints]
+        systems = systems_of(endpoints, rig)
         self._links: list[Link] = []
         try:
             for where, system in zip(endpoints, systems, strict=True):
