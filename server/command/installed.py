@@ -16,6 +16,7 @@ MODULES = {
     "scipy": ("scipy", "server"),
     "prometheus_client": ("prometheus-client", "metrics"),
     "rosbags": ("rosbags", "ros"),
+    "cyclonedds": ("cyclonedds", "dds"),
     "rerun": ("rerun-sdk", "review"),
     "foxglove_schemas_protobuf": ("foxglove-schemas-protobuf", ""),
     "google": ("protobuf", ""),

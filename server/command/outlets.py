@@ -1,11 +1,14 @@
 """Options of serve that show or hand on what it publishes in other programs' ways, and what each opens."""
 
 import argparse
+from collections.abc import Callable
 from contextlib import ExitStack
+from typing import TYPE_CHECKING
 
 from asterism.protocol.errors import InputError
 from asterism.protocol.rig import Rig
 from asterism.protocol.ros2 import names
+from asterism.protocol.ros2.node import Node
 from asterism.protocol.ros2.wire import owned_keys
 from asterism.protocol.yaml_file import describe
 from asterism.server.command.shared_arguments import add_ros_domain
@@ -13,27 +16,48 @@ from asterism.server.service.on_air import OnAir
 from asterism.server.service.outlets import Outlet
 from asterism.server.sources.foreign.ros_images import is_ros
 
+if TYPE_CHECKING:
+    from asterism.server.service.mavlink.endpoint import Endpoint
+
 
 def add_outlets(part: argparse.ArgumentParser) -> None:
     """Which outlets there are to be."""
     part.add_argument("--rerun", action="store_true", help="show everything in the rerun viewer while it happens")
     part.add_argument("--ros2", action="store_true", help="tell nodes of ROS 2 too, those with rmw_zenoh")
+    part.add_argument("--dds", action="store_true", help="tell nodes of ROS 2 too, those with Fast DDS or Cyclone DDS")
     add_ros_domain(part)
     part.add_argument("--ros-namespace", metavar="NS", type=_namespace, help="before the robots' topics there")
+    part.add_argument(
+        "--mavlink",
+        metavar="ROBOT=HOST:PORT",
+        action="append",
+        type=_flight_controller,
+        default=[],
+        help="send a robot's poses to its flight controller over UDP; may be given for several",
+    )
+    part.add_argument(
+        "--natnet",
+        metavar="ADDRESS",
+        nargs="?",
+        type=_natnet_address,
+        const=("127.0.0.1", 1510),
+        help="answer programs that read OptiTrack's Motive, there (default: 127.0.0.1:1510)",
+    )
 
 
 def ros_place(options: argparse.Namespace, rig: Rig) -> names.RosPlace | None:
     """Where in ROS's world to publish, or None where nobody asked. Raises InputError for what ROS has no name for."""
-    if not options.ros2:
+    if not (options.ros2 or options.dds):
         if options.ros_namespace is not None:
-            raise InputError("--ros-namespace is for ROS 2; add --ros2")
+            raise InputError("--ros-namespace is for ROS 2; add --ros2 or --dds")
         if options.ros_domain is not None and not is_ros(options.source):
-            raise InputError("--ros-domain is for ROS 2; add --ros2, or take images from it: ros2:TOPIC")
+            raise InputError("--ros-domain is for ROS 2; add --ros2 or --dds, or take images from it: ros2:TOPIC")
         return None
     for robot in rig.robots:
         if problem := names.part_problem(robot.id):
+            option = "--ros2" if options.ros2 else "--dds"
             raise InputError(
-                f"--ros2: the robot's id {robot.id!r} {problem}; it becomes part of its topics: rename it in the rig"
+                f"{option}: the robot's id {robot.id!r} {problem}; it becomes part of its topics: rename it in the rig"
             )
     return names.RosPlace(options.ros_domain or 0, options.ros_namespace or "")
 
@@ -44,7 +68,7 @@ def ros_keys(options: argparse.Namespace, rig: Rig) -> tuple[str, ...] | None:
     Raises InputError as `ros_place` does.
     """
     place = ros_place(options, rig)
-    if place is None:
+    if place is None or not options.ros2:
         return () if is_ros(options.source) else None
     return tuple(owned_keys(place, (robot.id for robot in rig.robots)))
 
@@ -53,6 +77,42 @@ def _namespace(text: str) -> str:
     if problem := names.namespace_problem(text):
         raise argparse.ArgumentTypeError(f"{describe(text)} {problem}")
     return names.clean_namespace(text)
+
+
+def check_outlets(options: argparse.Namespace, rig: Rig) -> None:
+    """Refuse with an InputError what cannot be with this rig, before anything is begun."""
+    if options.mavlink:
+        from asterism.server.service.mavlink.endpoint import systems_of
+
+        systems_of(options.mavlink, rig)
+
+
+def _flight_controller(text: str) -> "Endpoint":
+    from asterism.server.service.mavlink.endpoint import endpoint
+
+    return endpoint(text)
+
+
+def _natnet_address(text: str) -> tuple[str, int]:
+    from asterism.server.service.natnet.address import address
+
+    return address(text)
+
+
+def _open_ros(
+    options: argparse.Namespace, place: names.RosPlace, rig: Rig, air: OnAir, add: Callable[[Outlet], None]
+) -> None:
+    from asterism.server.service.ros2.outlet import Ros2
+
+    clock = air.publisher.clock
+    if options.ros2:
+        node = Node(air.session, place, names.node_name(rig.camera.name))
+        add(Ros2(node, rig, place.namespace, clock))
+    if options.dds:
+        from asterism.server.service.aside import Aside
+        from asterism.server.service.dds.node import DdsNode
+
+        add(Aside(Ros2(DdsNode(place.domain), rig, place.namespace, clock), "DDS"))
 
 
 def open_outlets(options: argparse.Namespace, rig: Rig, air: OnAir, stack: ExitStack) -> tuple[Outlet, ...]:
@@ -68,7 +128,13 @@ def open_outlets(options: argparse.Namespace, rig: Rig, air: OnAir, stack: ExitS
 
         add(LiveView(rig))
     if (place := ros_place(options, rig)) is not None:
-        from asterism.server.service.ros2.outlet import Ros2
+        _open_ros(options, place, rig, air, add)
+    if options.mavlink:
+        from asterism.server.service.mavlink.outlet import Mavlink
 
-        add(Ros2(air.session, rig, place, air.publisher.clock))
+        add(Mavlink(rig, options.mavlink, air.publisher.clock))
+    if options.natnet is not None:
+        from asterism.server.service.natnet.outlet import NatNet
+
+        add(NatNet(rig, *options.natnet))
     return tuple(opened)

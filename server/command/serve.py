@@ -13,7 +13,7 @@ from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.fitted_rig import open_fitting
 from asterism.server.command.number_arguments import count, port, positive, size
-from asterism.server.command.outlets import add_outlets, open_outlets, ros_keys
+from asterism.server.command.outlets import add_outlets, check_outlets, open_outlets, ros_keys
 from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing, add_topic, named
 from asterism.server.output import check_folder_of_many
 from asterism.server.service.live_line import LiveLine
@@ -80,6 +80,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("--record-limit is for a recording; add --record DIR")
     rig = load_rig(options.rig)
     say_warnings(rig)
+    check_outlets(options, rig)
     place = Place(options.listen, options.connect, options.zenoh, ros_keys(options, rig))
     rig, source = open_fitting(options.source, rig, say, options.topic, options.ros_domain)
     if source.live and options.rate is not None:

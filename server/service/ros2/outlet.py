@@ -4,16 +4,13 @@
 of a frame goes out at once, from the chain's own thread: it takes less than handing it to another.
 """
 
-from typing import NamedTuple
-
-import zenoh
+from typing import NamedTuple, Protocol
 
 from asterism.protocol.codec import decode_frame_report, decode_odometry, decode_status
 from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, STATUS, Message, RobotPose
 from asterism.protocol.rig import Rig
 from asterism.protocol.ros2 import conversion, names, types
-from asterism.protocol.ros2.node import Node, RosPublisher
-from asterism.protocol.ros2.values import TFMessage
+from asterism.protocol.ros2.values import RosMessage, TFMessage
 from asterism.protocol.ros2.wire import Quality
 from asterism.server.chain.frame import Frame
 from asterism.server.service.publish import Clock
@@ -21,6 +18,23 @@ from asterism.server.service.say import complain
 
 _TF = Quality(depth=100)  # as tf2's own broadcasters have it
 _TF_STATIC = Quality(depth=1, transient_local=True)
+
+
+class RosPublisher(Protocol):
+    """Publishes the messages of one topic: `protocol.ros2.node.RosPublisher`, or DDS's."""
+
+    def put(self, message: RosMessage) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class RosNode(Protocol):
+    """Who publishes: `protocol.ros2.node.Node`, or DDS's."""
+
+    def publisher(self, topic: str, kind: types.RosType, quality: Quality, newest_only: bool = False) -> RosPublisher:
+        """Publish on a topic."""
+
+    def close(self) -> None: ...
 
 
 class _Robot(NamedTuple):
@@ -33,11 +47,13 @@ class _Robot(NamedTuple):
 
 
 class Ros2:
-    """An outlet; ``clock`` stamps what never moves."""
+    """An outlet, by a node that is closed with it; ``namespace`` is as `names.clean_namespace` gives it; ``clock``
+    stamps what never moves.
+    """
 
-    def __init__(self, session: zenoh.Session, rig: Rig, place: names.RosPlace, clock: Clock) -> None:
-        self._rig, self._place, self._clock = rig, place, clock
-        self._node = Node(session, place, names.node_name(rig.camera.name))
+    def __init__(self, node: RosNode, rig: Rig, namespace: str, clock: Clock) -> None:
+        self._rig, self._namespace, self._clock = rig, namespace, clock
+        self._node = node
         self._robots = {robot.id: self._publishers_of(robot.id) for robot in rig.robots}
         self._tf = self._node.publisher(names.TF, types.TF_MESSAGE, _TF, newest_only=True)
         self._tf_static = self._node.publisher(names.TF_STATIC, types.TF_MESSAGE, _TF_STATIC)
@@ -72,7 +88,7 @@ class Ros2:
             self._robots.pop(robot).close()
         for robot in wanted:
             if robot not in self._robots and (problem := names.part_problem(robot)):
-                complain(f"--ros2: the robot's id {robot!r} {problem}; it has no topics there, only a transform")
+                complain(f"ROS 2: the robot's id {robot!r} {problem}; it has no topics there, only a transform")
             elif robot not in self._robots:
                 self._robots[robot] = self._publishers_of(robot)
         self._tell_what_never_moves()
@@ -100,6 +116,6 @@ class Ros2:
             return self._node.publisher(topic, kind, Quality(), newest_only=True)
 
         return _Robot(
-            publisher(names.pose_topic(self._place.namespace, robot), types.POSE_WITH_COVARIANCE_STAMPED),
-            publisher(names.odom_topic(self._place.namespace, robot), types.ODOMETRY),
+            publisher(names.pose_topic(self._namespace, robot), types.POSE_WITH_COVARIANCE_STAMPED),
+            publisher(names.odom_topic(self._namespace, robot), types.ODOMETRY),
         )

@@ -17,7 +17,8 @@ from asterism.protocol import keys
 from asterism.protocol.codec import encode_odometry, to_bytes
 from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message, RobotPose
 from asterism.protocol.rig import Rig
-from asterism.protocol.ros2.names import RosPlace
+from asterism.protocol.ros2.names import RosPlace, node_name
+from asterism.protocol.ros2.node import Node
 from asterism.protocol.ros2.types import RosType
 from asterism.protocol.ros2.wire import owned_keys
 from asterism.server.chain.frame import Frame
@@ -44,7 +45,7 @@ def telling(place: RosPlace, rig: Rig = RIG) -> Iterator[tuple[str, Ros2, OnAir]
     with on_air(
         Place(listen=endpoint, ros_keys=tuple(owned_keys(place, robots))), rig, SessionClock(), lambda: None
     ) as air:
-        outlet = Ros2(air.session, rig, place, air.publisher.clock)
+        outlet = Ros2(Node(air.session, place, node_name(rig.camera.name)), rig, place.namespace, air.publisher.clock)
         try:
             yield endpoint, outlet, air
         finally:

@@ -1,0 +1,94 @@
+"""The outlet `serve --mavlink ROBOT=HOST:PORT`: poses to a robot's flight controller, and the time where it asks."""
+
+import contextlib
+import select
+import socket
+import threading
+
+from asterism.protocol.codec import decode_odometry
+from asterism.protocol.errors import InputError
+from asterism.protocol.messages import ODOMETRY, STATUS, Message
+from asterism.protocol.rig import Rig
+from asterism.server.chain.frame import Frame
+from asterism.server.service.backlog import Backlog
+from asterism.server.service.mavlink.endpoint import WORLD, Endpoint, joined, systems_of
+from asterism.server.service.mavlink.link import Link
+from asterism.server.service.publish import Clock
+from asterism.server.service.say import say
+
+MOST_WAITING = 30  # frames: a pose that is older is worth nothing to who flies by it
+
+
+class Mavlink:
+    """Sends to these endpoints until it is closed; ``clock`` is the one that stamps poses.
+
+    Raises InputError as `systems_of` does, and for a host that is none.
+    """
+
+    def __init__(self, rig: Rig, endpoints: list[Endpoint], clock: Clock) -> None:
+        systems = systems_of(endpoints, rig)
+        self._links: list[Link] = []
+        try:
+            for where, system in zip(endpoints, systems, strict=True):
+                self._links.append(Link(where.robot, system, joined(where)))
+        except InputError:
+            self._hang_up()
+            raise
+        self._rig = rig
+        self._clock = clock
+        self._backlog: Backlog[list[Message]] = Backlog(self._send, "mavlink", MOST_WAITING)
+        self._wake, self._woken = socket.socketpair()
+        self._answering = threading.Thread(target=self._answer, name="mavlink-time", daemon=True)
+        self._answering.start()
+        for where, system in zip(endpoints, systems, strict=True):
+            say(f"MAVLink to {where.host}:{where.port}: {where.robot}, as system {system}")
+
+    def write(self, messages: list[Message], frame: Frame) -> None:  # noqa: ARG002
+        """Send the frame's poses when it is their turn."""
+        self._backlog.give(messages)
+
+    def status(self, messages: list[Message]) -> None:
+        """Send a heartbeat."""
+        self._backlog.give(messages)
+
+    def take_rig(self, rig: Rig) -> None:
+        """Poses by another rig may jump."""
+        self._rig = rig
+
+    def close(self) -> None:
+        """Send what waits, and no more."""
+        self._backlog.close()
+        self._wake.close()
+        self._answering.join()
+        self._woken.close()
+        self._hang_up()
+        unsent = sum(link.unsent for link in self._links)
+        if unsent or self._backlog.dropped:
+            say(f"MAVLink: {unsent} messages could not be sent, {self._backlog.dropped} frames waited too long")
+
+    def _hang_up(self) -> None:
+        for link in self._links:
+            link.to.close()
+
+    def _send(self, messages: list[Message]) -> None:
+        for message in messages:
+            if message.kind == ODOMETRY:
+                told = decode_odometry(message.payload)
+                if told.frame_id == WORLD:  # a rig that was read again may have none
+                    for link in self._links:
+                        if link.robot == told.robot:
+                            link.pose(told, self._rig)
+            elif message.kind == STATUS:
+                for link in self._links:
+                    link.alive()
+
+    def _answer(self) -> None:
+        """Tell whoever asks what time it is by the clock that stamps poses, until the outlet is closed."""
+        by_socket = {link.to: link for link in self._links}
+        while True:
+            ready, _, _ = select.select([self._woken, *by_socket], [], [])
+            if self._woken in ready:
+                return
+            for one in ready:
+                with contextlib.suppress(OSError):
+                    by_socket[one].answer(self._clock.now_ns())

@@ -1,0 +1,69 @@
+"""What nodes of ROS 2 get over DDS, by a client that nobody here wrote, in a network that nothing leaves."""
+
+import importlib.util
+import json
+import shutil
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+
+pytest.importorskip("cyclonedds", reason="cyclonedds is not installed (pip install '.[dds]')")
+
+from tests.helpers import REPOSITORY
+from tests.servers import TIMEOUT_S
+from tests.service.dds.apart import DYNAMIC, TOPICS, poses
+from tests.service.ros2.test_outlet import check_header, check_pose, xyz
+
+COUNT = 50  # 1000: python -m tests.service.dds.apart 0 1000, in such a network
+DOMAIN = 11
+# A network of its own has loopback alone, without multicast as it begins.
+ALONE = "ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo && exec"
+
+
+def test_a_node_receives_everything_and_nothing_but_loopback_is_heard() -> None:
+    found = run_apart(COUNT)
+    received = found["received"]
+    assert set(found["heard_at"]) == {"0.0.0.0%lo", "127.0.0.1"}
+    counts = {topic: COUNT if topic in DYNAMIC else 1 for topic in TOPICS}
+    assert {topic: len(messages) for topic, messages in received.items()} == counts
+    for one, at, odom, tf in zip(poses(COUNT), *(received[topic] for topic in DYNAMIC), strict=True):
+        for message in (at, odom):
+            check_header(message["header"], one)
+            check_pose(message, one)
+        assert one.velocity is not None
+        assert odom["child_frame_id"] == "alpha"
+        assert xyz(odom["twist"]["twist"]["linear"]) == one.velocity.linear.tolist()
+        assert xyz(odom["twist"]["twist"]["angular"]) == one.velocity.angular.tolist()
+        assert odom["twist"]["covariance"] == one.velocity.covariance.ravel().tolist()
+        (transform,) = tf["transforms"]
+        check_header(transform["header"], one)
+        assert transform["child_frame_id"] == "alpha"
+        assert xyz(transform["transform"]["translation"]) == one.position.tolist()
+    (never_moves,) = received["/tf_static"]
+    assert [one["child_frame_id"] for one in never_moves["transforms"]] == ["cam", "alpha/tool"]
+    (health,) = received["/diagnostics"]
+    assert (health["status"][0]["level"], health["status"][0]["message"]) == (1, "the disk is full")
+
+
+def run_apart(count: int) -> dict[str, Any]:
+    """apart.py in a network of its own; the test is skipped where there can be none."""
+    if importlib.util.find_spec("rosless") is None:
+        pytest.skip("rosless is not installed (pip install '.[dev]')")
+    for program in ("unshare", "ip", "ss"):
+        if shutil.which(program) is None:
+            pytest.skip(f"there is no `{program}` here: it is in the packages util-linux and iproute2")
+    if subprocess.run(["unshare", "-rn", "sh", "-c", f"{ALONE} true"], capture_output=True, check=False).returncode:
+        pytest.skip("this machine does not let a user make a network of his own (`unshare -rn`)")
+    script = f'{ALONE} "$0" -m tests.service.dds.apart {DOMAIN} {count}'
+    done = subprocess.run(
+        ["unshare", "-rn", "sh", "-c", script, sys.executable],
+        stdout=subprocess.PIPE,
+        text=True,
+        timeout=TIMEOUT_S,
+        check=True,
+        cwd=REPOSITORY,
+    )
+    told: dict[str, Any] = json.loads(done.stdout)
+    return told
