@@ -15,6 +15,7 @@ MODULES = {
     "numba": ("numba", "server"),
     "scipy": ("scipy", "server"),
     "prometheus_client": ("prometheus-client", "metrics"),
+    "pyarrow": ("pyarrow", "parquet"),
     "rosbags": ("rosbags", "ros"),
     "rerun": ("rerun-sdk", "review"),
     "foxglove_schemas_protobuf": ("foxglove-schemas-protobuf", ""),
