@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from asterism.protocol import asterism_pb2 as pb
-from asterism.protocol.codec import decode_odometry
+from asterism.protocol.codec import decode_odometry, report_pose
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message, RobotPose, State, Velocity
@@ -78,15 +78,19 @@ class ExportedRobot:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExportedFrame:
-    """One frame: its name, mid-exposure in ns since the Unix epoch, the server's session (0: none is known), the parent
-    frame of its poses, and the robots of the rig that was in force.
+    """One frame: its name and number, mid-exposure in ns since the Unix epoch, the server's session (0: none is known),
+    the parent frame of its poses, and the robots of the rig that was in force.
+
+    ``T_world_camera`` is there where the rig follows its camera's place.
     """
 
     name: str
+    sequence: int
     exposed_ns: int
     session: int
     frame_id: str
     robots: tuple[ExportedRobot, ...]
+    T_world_camera: Pose | None = None
 
 
 def points_of(rigs: Iterable[Rig]) -> dict[str, list[str]]:
@@ -152,12 +156,15 @@ def _of_odometry(told: dict[str, RobotPose]) -> ExportedFrame:
         )
         for pose in told.values()
     )
-    return ExportedFrame(str(first.sequence), first.exposed_ns, first.session, first.frame_id, robots)
+    number = first.sequence
+    return ExportedFrame(str(number), number, first.exposed_ns, first.session, first.frame_id, robots)
 
 
 def _of_report(report: "pb.FrameReport", told: dict[str, RobotPose]) -> ExportedFrame:
     robots = tuple(_robot(robot, told.get(robot.id)) for robot in report.robots)
-    return ExportedFrame(str(report.sequence), report.exposed_ns, report.session, report.frame_id, robots)
+    place = report_pose(report.camera.pose) if report.HasField("camera") else None
+    number = report.sequence
+    return ExportedFrame(str(number), number, report.exposed_ns, report.session, report.frame_id, robots, place)
 
 
 def _robot(robot: "pb.RobotReport", told: RobotPose | None) -> ExportedRobot:

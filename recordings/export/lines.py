@@ -60,7 +60,8 @@ def lines_of(path: Path) -> Iterator[ExportedFrame]:
             if len(line) > LONGEST:
                 raise InputError(f"{path}: line {number}: is longer than {LONGEST >> 20} MB, expected {EXPECTED}")
             if line.strip():
-                yield _frame(_decoded(decoder, line, f"{path}: line {number}"), f"{path}: line {number}")
+                where = f"{path}: line {number}"
+                yield _frame(_decoded(decoder, line, where), number, where)
 
 
 def _decoded(decoder: "msgspec.json.Decoder[_Line]", line: bytes, where: str) -> _Line:
@@ -70,7 +71,7 @@ def _decoded(decoder: "msgspec.json.Decoder[_Line]", line: bytes, where: str) ->
         raise InputError(f"{where}: {error}; expected {EXPECTED}") from None
 
 
-def _frame(line: _Line, where: str) -> ExportedFrame:
+def _frame(line: _Line, number: int, where: str) -> ExportedFrame:
     if not 0 <= line.exposed_ns < 1 << 63:
         raise InputError(f"{where}: exposed_ns: {line.exposed_ns}, expected ns, 0 to 2^63 - 1")
     found: dict[str, ExportedRobot] = {}
@@ -80,7 +81,7 @@ def _frame(line: _Line, where: str) -> ExportedFrame:
         if robot.id in found:
             raise InputError(f"{where}: {describe(robot.id)} is told of twice, expected once")
         found[robot.id] = robot
-    return ExportedFrame(line.frame, line.exposed_ns, 0, "", tuple(found.values()))
+    return ExportedFrame(line.frame, number, line.exposed_ns, 0, "", tuple(found.values()))
 
 
 def _lost(line: _Line) -> Iterator[ExportedRobot]:

@@ -1,16 +1,22 @@
 """asterism export: what a recording tells of its robots, in files that other programs read."""
 
 import argparse
-import contextlib
 import importlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from asterism.protocol.errors import InputError
+from asterism.protocol.rig import Rig
 from asterism.recordings.export.csv_files import write_csv
 from asterism.recordings.export.frames import ExportedFrame, frames_of, points_of
 from asterism.recordings.export.lines import SUFFIX, lines_of
 from asterism.recordings.export.parquet_file import write_parquet
+from asterism.recordings.export.ros_bag import write_bag
 from asterism.recordings.export.tum_files import write_tum
 from asterism.recordings.export.written import Written
 from asterism.recordings.reader import Recording
@@ -55,23 +61,29 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
         type=named,
         help="a spreadsheet of surveyed poses, into the JSON lines that --truth takes",
     )
+    part.add_argument("--images", action="store_true", help="into the bag as well, with CameraInfo")
     add_out(part, "OUT", "a new or empty folder (csv, tum, rosbag2) or a file (parquet, truth)")
 
 
 def run(options: argparse.Namespace) -> int:
     """Write OUT, say what is in it."""
     _check(options)
-    frames, points = _read(options.recording)
+    exported = _read(options.recording, options.images)
     with _output(options) as output:
-        written = _write(options.to, frames, output.path, points)
+        written = _write(options, exported, output.path)
         _refuse_none(options.recording, written)
-    if written.backwards is not None:
-        say(
-            f"{options.recording}: at frame {written.backwards} the time steps back (its clock was set, or a server "
-            "began anew): times before and after it are not to be compared, `session` tells them apart"
-        )
+    _remark(options.recording, written)
     print(_told(options.out, written) + output.note)
     return 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Exported:
+    """What is read: frames, the rigs that were in force, each with its first frame (none of lines), images if asked."""
+
+    frames: Iterator[ExportedFrame]
+    rigs: Sequence[tuple[int, Rig]] = ()
+    images: Iterator[tuple[NDArray[np.uint8], int, int]] | None = None
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -80,6 +92,10 @@ def _check(options: argparse.Namespace) -> None:
         raise InputError("expected either a RECORDING or --from SURVEY.csv")
     if (options.to == TRUTH) != (options.survey is not None):
         raise InputError(f"--to {options.to}: expected --to {TRUTH} with --from, --to {'|'.join(FORMATS)} without")
+    if options.images and options.to != "rosbag2":
+        raise InputError(f"--images: {options.to} holds no images, expected --to rosbag2")
+    if options.to == "rosbag2" and options.recording.suffix == SUFFIX:
+        raise InputError(f"{options.recording}: lines tell no frames and no rig, expected a recording's folder")
     if options.to == "parquet" and options.out.suffix != ".parquet":
         raise InputError(f"{options.out}: expected a file name ending in .parquet")
     (check_file if options.to in ("parquet", TRUTH) else check_folder)(options.out, options.force)
@@ -87,31 +103,33 @@ def _check(options: argparse.Namespace) -> None:
         importlib.import_module(NEEDED[options.to])
 
 
-def _read(path: Path) -> tuple[Iterator[ExportedFrame], Mapping[str, Sequence[str]]]:
-    """The frames of a recording or of lines, and the named points of every robot."""
+def _read(path: Path, images: bool) -> _Exported:
     if path.suffix == SUFFIX and path.is_file():
-        return lines_of(path), {}
+        return _Exported(lines_of(path))
     if path.is_file():
         raise InputError(f"{path}: expected a recording's folder, or JSON lines as a file that ends in {SUFFIX}")
     recording = Recording(path)
+    if images and not recording.count_frames():
+        raise InputError(f"{path}: holds no images, expected a recording with frames-0001.mcap, or no --images")
     messages = progress(recording.messages(), recording.count_messages(), "exporting")
-    return frames_of(messages, path), points_of(rig for _, rig in recording.rigs())
+    return _Exported(frames_of(messages, path), recording.rigs(), recording.frames() if images else None)
 
 
-@contextlib.contextmanager
-def _output(options: argparse.Namespace) -> Iterator[Output]:
-    with (new_file if options.to == "parquet" else new_folder)(options.out, options.force) as output:
-        yield output
+def _output(options: argparse.Namespace) -> AbstractContextManager[Output]:
+    return (new_file if options.to == "parquet" else new_folder)(options.out, options.force)
 
 
-def _write(to: str, frames: Iterator[ExportedFrame], path: Path, points: Mapping[str, Sequence[str]]) -> Written:
-    match to:
+def _write(options: argparse.Namespace, exported: _Exported, path: Path) -> Written:
+    points = points_of(rig for _, rig in exported.rigs)
+    match options.to:
         case "csv":
-            return write_csv(frames, path, points)
+            return write_csv(exported.frames, path, points)
         case "tum":
-            return write_tum(frames, path)
+            return write_tum(exported.frames, path)
+        case "parquet":
+            return write_parquet(exported.frames, path, points)
         case _:
-            return write_parquet(frames, path, points)
+            return write_bag(exported.frames, path, options.out.resolve().name, exported.rigs, exported.images)
 
 
 def _refuse_none(path: Path, written: Written) -> None:
@@ -119,6 +137,20 @@ def _refuse_none(path: Path, written: Written) -> None:
         raise InputError(
             f"{path}: holds no pose of any robot ({written.frames} frames), nothing to export; expected a recording "
             "in which robots were located"
+        )
+
+
+def _remark(path: Path, written: Written) -> None:
+    """What somebody who reads the files should know."""
+    if written.backwards is not None:
+        say(
+            f"{path}: at frame {written.backwards} the time steps back (its clock was set, or a server began anew): "
+            "times before and after it are not to be compared, `session` tells them apart"
+        )
+    for robot, called in written.renamed.items():
+        say(
+            f"{robot} is /{called} in the bag (ROS takes letters A-Z a-z, digits and underscores); "
+            f"its frame is called {robot}"
         )
 
 
