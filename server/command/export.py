@@ -20,6 +20,7 @@ from asterism.recordings.export.ros_bag import write_bag
 from asterism.recordings.export.tum_files import write_tum
 from asterism.recordings.export.written import Written
 from asterism.recordings.reader import Recording
+from asterism.server.command.exported_truth import write_truth
 from asterism.server.command.progress import progress
 from asterism.server.command.shared_arguments import add_out, named
 from asterism.server.output import Output, check_file, check_folder, new_file, new_folder
@@ -68,6 +69,8 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Write OUT, say what is in it."""
     _check(options)
+    if options.survey is not None:
+        return write_truth(options.survey, options.out, options.force)
     exported = _read(options.recording, options.images)
     with _output(options) as output:
         written = _write(options, exported, output.path)
