@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 ROWS = 16_384  # of a group: what is in memory at once
 _TIME = "time_s"  # of CSV; here it is a timestamp
-_FEW = frozenset({"robot", "frame_id", "state", "reason", "filter"})  # texts that are the same again and again
 
 
 def write_parquet(frames: Iterable[ExportedFrame], path: Path, points: Mapping[str, Sequence[str]]) -> Written:
@@ -63,5 +62,4 @@ def _field(column: Column) -> pa.Field:
     if column.name == _TIME:
         return pa.field("time", pa.timestamp("ns", tz="UTC"))
     kinds = {"text": pa.string(), "integer": pa.int64(), "real": pa.float64(), "flag": pa.bool_()}
-    kind = pa.dictionary(pa.int32(), pa.string()) if column.name in _FEW else kinds[column.type]
-    return pa.field(column.name, kind, metadata={"unit": column.unit} if column.unit else None)
+    return pa.field(column.name, kinds[column.type], metadata={"unit": column.unit} if column.unit else None)
