@@ -20,7 +20,7 @@ SUBCOMMANDS = {
 }
 
 TARGET = "KIND:COLSxROWS:PITCH, PITCH in m: chessboard (inner corners), circles, acircles, charuco; or leds:BOARD.yaml"
-TRUTH = "surveyed poses: JSON lines as `asterism locate` writes them"
+TRUTH = "surveyed poses: JSON lines as `asterism locate` writes them, or a spreadsheet's CSV"
 
 
 def add_source_and_out(part: argparse.ArgumentParser, out: str) -> None:

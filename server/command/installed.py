@@ -15,6 +15,7 @@ MODULES = {
     "numba": ("numba", "server"),
     "scipy": ("scipy", "server"),
     "prometheus_client": ("prometheus-client", "metrics"),
+    "pyarrow": ("pyarrow", "parquet"),
     "rosbags": ("rosbags", "ros"),
     "cyclonedds": ("cyclonedds", "dds"),
     "rerun": ("rerun-sdk", "review"),

@@ -15,13 +15,17 @@ from asterism.protocol.codec import decode_odometry, encode_rig, to_bytes
 from asterism.protocol.errors import InputError
 from asterism.protocol.led_offset import parse_offset
 from asterism.protocol.rig import parse_rig
+from asterism.recordings.export.columns import groups, row
+from asterism.recordings.export.lines import lines_of
 from asterism.server.calibration.survey.survey import read_survey
+from asterism.server.calibration.survey.survey_csv import read_survey_csv
 from asterism.server.sources.images import UnreadableImage, read_pages, to_grey8
 from tests.protocol import make_golden, mutated_clients, mutated_sources
 from tests.protocol.bounds import TooMuch, bounded
 from tests.protocol.message_mutations import mutated_message
 from tests.protocol.mutations import mutated_bytes, mutated_yaml
 from tests.protocol.picture_mutations import mutated_bmp, mutated_jpeg, mutated_png, mutated_tiff
+from tests.protocol.table_mutations import mutated_table
 from tests.recordings import mutated_recordings
 
 CAMERA = """\
@@ -59,6 +63,16 @@ SURVEY = """\
 {"frame": "0.png", "robots": [{"id": "alpha", "position": [0.1, 0.2, 1.3], "orientation": [0, 0, 0, 1]}]}
 {"frame": "1.png", "exposed_ns": 5, "robots": [], "lost": {"alpha": "why"}}
 """
+_SPREADSHEETS = (
+    "robot,frame,x_mm,y_mm,z_mm,yaw_deg,note\nalpha,0.png,100.5,-20,30.25,90,\nalpha,1.png,4,5.5,6,170,x\n",
+    "\ufeffrobot;time_s;x_m;y_m;z_m;qx;qy;qz;qw\r\nalpha;0,5;0,1;0,2;1,3;0;0;0,6;0,8\r\n;;;;;;;;\r\n",
+)
+SPREADSHEETS = tuple(text.encode() for text in _SPREADSHEETS)
+LINES = """\
+{"frame": "0.png", "exposed_ns": 5, "robots": [{"id": "alpha", "state": "TRACKED", "position": [0.1, 0.2, 1.3],
+ "orientation": [0, 0, 0.6, 0.8], "leds": 6, "rms_px": 0.01, "alternative": {"position": [0.1, 0.2, 1.3],
+ "orientation": [0, 0, 0, 1], "odds": 12.0}}], "lost": {"bravo": "why"}}
+""".replace("\n ", " ")
 
 
 @dataclass(frozen=True)
@@ -113,6 +127,11 @@ def _rig(text: str) -> object:
     return encode_rig(rig)
 
 
+def _exported(path: Path) -> object:
+    of = groups(())
+    return [row(of, frame, robot) for frame in lines_of(path) for robot in frame.robots]
+
+
 def _camera(text: str) -> object:
     camera = parse_camera(text, "fuzz")
     assert np.isfinite(camera.matrix).all()
@@ -160,6 +179,8 @@ TARGETS = {
     "camera": Target(_camera, (CAMERA, FISHEYE), mutated_yaml, 400, 12),
     "led_offset": Target(lambda text: parse_offset(text, "fuzz"), (OFFSET,), mutated_yaml, 400, 10),
     "survey": Target(_in_a_file(lambda path: read_survey(path, ["alpha"]), ".jsonl"), (SURVEY,), mutated_yaml, 500, 6),
+    "survey_csv": Target(_in_a_file(read_survey_csv, ".csv"), SPREADSHEETS, mutated_table, 500, 6),
+    "pose_lines": Target(_in_a_file(_exported, ".jsonl"), (LINES,), mutated_yaml, 500, 6),
     "odometry": Target(decode_odometry, mutated_clients.poses(), mutated_message, 4000, 190),
     "pose": Target(mutated_clients.pose, mutated_clients.poses(), mutated_message, 5000, 210),
     "report": Target(mutated_clients.report, _REPORTS, mutated_message, 2700, 140),

@@ -3,6 +3,8 @@
 One line a frame: ``{"frame": "00012.png", "robots": [{"id": "alpha", "position": [x, y, z], "orientation": [x, y, z,
 w]}]}``. A pose is T_world_robot where the rig places its camera in a world and T_camera_robot where it does not (for
 `calibrate world` always T_world_robot). What else locate and simulate write is accepted and not looked at.
+
+A file whose name ends in `.csv` is a spreadsheet's, as `survey_csv` says.
 """
 
 from collections.abc import Collection, Sequence
@@ -16,6 +18,8 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.text_file import read_text
 from asterism.protocol.yaml_file import Section, describe
+from asterism.server.calibration.survey.survey_csv import SUFFIX as CSV
+from asterism.server.calibration.survey.survey_csv import SurveyRows, read_survey_csv
 
 LONGEST = 256 << 20  # bytes of a survey
 _LINE_KEYS = ("frame", "robots", "exposed_ns", "lost")
@@ -51,10 +55,11 @@ class SurveyedFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Survey:
-    """A survey's frames in the file's order."""
+    """A survey's frames in the file's order; ``remarks`` are what a person should know of how it was read."""
 
     name: str
     frames: tuple[SurveyedFrame, ...]
+    remarks: tuple[str, ...] = ()
 
 
 def read_survey(path: Path, robots: Collection[str], orientations: bool = True) -> Survey:
@@ -62,6 +67,8 @@ def read_survey(path: Path, robots: Collection[str], orientations: bool = True) 
 
     Raises InputError with file, line, what was found and what is accepted.
     """
+    if path.suffix.lower() == CSV:
+        return _of_rows(path, read_survey_csv(path), robots, orientations)
     text = read_text(path, "JSON lines as asterism locate writes them", LONGEST)
     frames: list[SurveyedFrame] = []
     lines: dict[str, int] = {}
@@ -78,6 +85,19 @@ def read_survey(path: Path, robots: Collection[str], orientations: bool = True) 
     if not any(frame.robots for frame in frames):
         raise InputError(f"{path}: holds no surveyed robot, expected JSON lines as asterism locate writes them")
     return Survey(str(path), tuple(frames))
+
+
+def _of_rows(path: Path, read: SurveyRows, robots: Collection[str], orientations: bool) -> Survey:
+    frames: dict[str, SurveyedFrame] = {}
+    for row in read.rows:
+        where = f"{path}: line {row.line}"
+        if row.robot not in robots:
+            raise InputError(f"{where}: {describe(row.robot)} is not in the rig, expected one of {', '.join(robots)}")
+        if orientations and row.orientation is None:
+            raise InputError(f"{where}: tells no orientation, expected qx, qy, qz, qw or roll_deg, pitch_deg, yaw_deg")
+        frame = frames.setdefault(row.frame, SurveyedFrame(row.frame, row.line, {}))
+        frame.robots[row.robot] = SurveyedPose(row.robot, row.position, row.orientation)
+    return Survey(str(path), tuple(frames.values()), read.remarks)
 
 
 def _frame(line: str, where: str, number: int, robots: Collection[str], orientations: bool) -> SurveyedFrame:
@@ -132,7 +152,7 @@ def match_frames(survey: Survey, names: Sequence[str], source: str) -> Matched:
     by_name = {frame.name: frame for frame in survey.frames}
     matched = {name: by_name[name] for name in names if name in by_name}
     if matched:
-        remarks = []
+        remarks = [*survey.remarks]
         without = [frame.name for frame in survey.frames if frame.name not in matched]
         if without:
             remarks.append(f"{survey.name}: {_listed(without)} not among the frames of {source}; left out")
@@ -143,7 +163,10 @@ def match_frames(survey: Survey, names: Sequence[str], source: str) -> Matched:
     if len(names) == len(survey.frames):
         return Matched(
             dict(zip(names, survey.frames, strict=True)),
-            (f"{survey.name} names none of the frames of {source}; its lines are taken in the frames' order",),
+            (
+                *survey.remarks,
+                f"{survey.name} names none of the frames of {source}; its lines are taken in the frames' order",
+            ),
         )
     raise InputError(
         f"{survey.name}: names none of the frames of {source} (it has {survey.frames[0].name!r}, the source "
