@@ -1,6 +1,7 @@
-"""asterism watch: a live table of every robot, or every frame as a line of JSON."""
+"""asterism watch: a live table of every robot, or every frame and event as a line of JSON."""
 
 import contextlib
+import os
 import sys
 import threading
 import time
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 REFRESH_HZ = 5
 PLAIN_EVERY_S = 2.0
-LOOK_EVERY_S = 0.5  # whether anything is to be said while no frame comes
+LOOK_EVERY_S = 0.2  # how things stand, while no line comes
 RETRY_S = 0.5
 
 
@@ -59,7 +60,7 @@ def watch(
         asking(session, prefix + keys.rig("*"), table.servers),
     ):
         if as_json:
-            _write_lines(session, table, JsonLines(robots, prefix))
+            _write_lines(session, table, JsonLines(robots, prefix, table.servers))
             return
         held = table.subscribe(session)
         try:
@@ -100,8 +101,10 @@ def _session(connect: str | None, options: Path | None) -> "Iterator[tuple[zenoh
 
 
 def _write_lines(session: "zenoh.Session", table: RobotTable, lines: JsonLines) -> None:
-    """Every frame as a line on standard output; what is to be said besides goes to standard error, once."""
-    held = lines.subscribe(session)
+    """Everything as lines on standard output, each at once, until whoever reads them has enough; what is to be said
+    besides goes to standard error, once.
+    """
+    held = [*table.follow_servers(session), *lines.subscribe(session)]
     said = ""
     try:
         while True:
@@ -111,7 +114,10 @@ def _write_lines(session: "zenoh.Session", table: RobotTable, lines: JsonLines) 
             if (note := table.mistyped()) != said:
                 print(f"asterism: {note}", file=sys.stderr, flush=True)
                 said = note
+    except BrokenPipeError:
+        # What is left in the buffer has nowhere to go when Python ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     finally:
         held.clear()
         if lines.left_out:
-            print(f"asterism: {lines.left_out} frames were left out: what reads the lines is too slow", file=sys.stderr)
+            print(f"asterism: {lines.left_out} lines were left out: what reads them is too slow", file=sys.stderr)
