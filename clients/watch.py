@@ -4,8 +4,7 @@ import contextlib
 import os
 import sys
 import threading
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,10 +13,10 @@ from rich.live import Live
 
 from asterism.clients.asking import asking
 from asterism.clients.json_lines import JsonLines
+from asterism.clients.waiting import waited_for
 from asterism.clients.watched import RobotTable
 from asterism.protocol import keys
 from asterism.protocol.errors import InputError
-from asterism.protocol.network import DEFAULT_ENDPOINT, check_endpoint, client_config
 
 if TYPE_CHECKING:
     import zenoh
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
 REFRESH_HZ = 5
 PLAIN_EVERY_S = 2.0
 LOOK_EVERY_S = 0.2  # how things stand, while no line comes
-RETRY_S = 0.5
 
 
 def show(table: RobotTable, console: Console, stop: threading.Event, waiting: str = "") -> None:
@@ -56,7 +54,7 @@ def watch(
     table = RobotTable(robots, prefix)
     with (
         contextlib.suppress(KeyboardInterrupt),
-        _session(connect, options) as (session, endpoint),
+        waited_for(connect, options) as (session, endpoint),
         asking(session, prefix + keys.rig("*"), table.servers),
     ):
         if as_json:
@@ -74,30 +72,6 @@ def check_prefix(prefix: str) -> None:
     parts = prefix.split("/")
     if prefix and (parts.pop() or any(keys.key_problem(part) for part in parts)):
         raise InputError(f"--prefix {prefix!r}: expected parts of a key that end with '/', such as replay/")
-
-
-@contextlib.contextmanager
-def _session(connect: str | None, options: Path | None) -> "Iterator[tuple[zenoh.Session, str]]":
-    """A session with the server, waited for until there is one, and where it is."""
-    import zenoh
-
-    if connect is not None:
-        check_endpoint(connect)
-    config = client_config(connect, options)
-    endpoint = connect or (str(options) if options else DEFAULT_ENDPOINT)
-    session, said = None, False
-    while session is None:
-        try:
-            session = zenoh.open(config)
-        except zenoh.ZError:
-            if not said:
-                print(f"waiting for a server at {endpoint} ...", file=sys.stderr, flush=True)
-                said = True
-            time.sleep(RETRY_S)
-    try:
-        yield session, endpoint
-    finally:
-        session.close()
 
 
 def _write_lines(session: "zenoh.Session", table: RobotTable, lines: JsonLines) -> None:
