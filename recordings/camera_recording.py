@@ -63,7 +63,7 @@ class CameraRecording:
         if isinstance(told, pb.Event) and told.happening == pb.RIG_READ:
             self._from = told.sequence
             self._want()
-        self._write(arrived, now_s)
+        self._put(self._order.add(arrived, now_s))
 
     def answered(self, told: "pb.RigReport", now_s: float) -> None:
         """The server told its rig. Raises WorldError where nothing can be recorded."""
@@ -84,9 +84,13 @@ class CameraRecording:
         waiting, self._waiting = self._waiting, deque()
         for one in waiting:
             if one.session in self._sessions:
-                self._write(one, now_s)
+                self._put(self._order.add(one, now_s))
             else:
                 self.waiting_lost += 1
+
+    def tick(self, now_s: float) -> None:
+        """Now and then, also where nothing arrives."""
+        self._put(self._order.due(now_s))
 
     def close(self) -> None:
         """Finish the recording, if one was begun, and say what is in it."""
@@ -143,13 +147,11 @@ class CameraRecording:
             return None
         return rig
 
-    def _write(self, arrived: Arrived, now_s: float) -> None:
-        self.missing.count(arrived)
-        self._put(self._order.add(arrived, now_s))
-
     def _put(self, due: list[Arrived]) -> None:
         if not due or self.recorder is None:
             return
+        for one in due:
+            self.missing.count(one)
         messages = [one.message for one in due]
         newest = max(messages, key=lambda message: message.sequence)
         if self._next is not None and newest.kind is not STATUS and newest.sequence >= self._next[0]:

@@ -1,46 +1,80 @@
-"""Messages of the network in the order in which their server records them: each kind has a queue of its own."""
+"""Messages of the network in the order in which their server records them.
 
-from collections.abc import Callable
+Poses, events and reports have queues of their own on their way. Each keeps its order; one may overtake another.
+"""
+
+from dataclasses import dataclass, field
 
 from asterism.protocol import asterism_pb2 as pb
-from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, STATUS
+from asterism.protocol.messages import ODOMETRY
 from asterism.recordings.from_network import Arrived
 
-LATE_S = 0.5  # so long a frame's report is waited for
+LATE_S = 0.5  # so long what is missing of a frame is waited for
+
+
+@dataclass(slots=True)
+class _Frame:
+    """What has arrived of one frame: events of the camera, poses, the report, events of robots."""
+
+    since_s: float
+    first: list[Arrived] = field(default_factory=list)
+    poses: list[Arrived] = field(default_factory=list)
+    report: Arrived | None = None
+    events: list[Arrived] = field(default_factory=list)
+
+    def all(self) -> list[Arrived]:
+        return [*self.first, *self.poses, *([self.report] if self.report else []), *self.events]
+
+    def has_all_poses(self) -> bool:
+        told = None if self.report is None else self.report.told
+        if not isinstance(told, pb.FrameReport):
+            return False
+        located = {robot.id for robot in told.robots if robot.HasField("pose")}
+        return located <= {pose.robot for pose in self.poses}
 
 
 class InOrder:
-    """Holds poses and events until their frame's report is there. Pure: times are this machine's, s."""
+    """Holds what belongs to a frame until all of it is there, or cannot come any more. Pure: times are this machine's,
+    s.
+    """
 
     def __init__(self) -> None:
-        self._held: list[tuple[float, Arrived]] = []
-        self._newest = -1  # number of the newest frame's report
+        self._frames: dict[int, _Frame] = {}
+        self._written = -1  # number of the newest frame that was handed on
+        self._pose = self._report = -1  # numbers of the newest of each
 
     def add(self, arrived: Arrived, now_s: float) -> list[Arrived]:
-        """What can be written now that this one has arrived: poses, then the report of their frame, then its events; an
-        event of another rig before the poses.
+        """What can be written now that this one has arrived: of each frame events of the camera, poses, the report, and
+        events of robots.
         """
-        kind, number = arrived.message.kind, arrived.message.sequence
-        if kind is FRAME_REPORT:
-            self._newest = number
-            due = self._take(lambda _, held: held.message.sequence <= number)
-            before = [held for held in due if _comes_first(held)]
-            return [*before, arrived, *(held for held in due if not _comes_first(held))]
-        if kind is STATUS or number <= self._newest:
+        number, told = arrived.message.sequence, arrived.told
+        if isinstance(told, pb.Status) or number <= self._written:
             return [arrived]
-        self._held.append((now_s, arrived))
-        return self._take(lambda since_s, _: now_s - since_s > LATE_S)
+        frame = self._frames.setdefault(number, _Frame(now_s))
+        if arrived.message.kind is ODOMETRY:
+            frame.poses.append(arrived)
+            self._pose = max(self._pose, number)
+        elif isinstance(told, pb.Event):
+            (frame.events if told.robot else frame.first).append(arrived)
+        else:
+            frame.report = arrived
+            self._report = max(self._report, number)
+        return self.due(now_s)
 
     def rest(self) -> list[Arrived]:
         """All that is still held."""
-        return self._take(lambda *_: True)
+        frames, self._frames = self._frames, {}
+        return [one for number in sorted(frames) for one in frames[number].all()]
 
-    def _take(self, is_due: Callable[[float, Arrived], bool]) -> list[Arrived]:
-        due = [held for since_s, held in self._held if is_due(since_s, held)]
-        self._held = [entry for entry in self._held if not is_due(*entry)]
+    def due(self, now_s: float) -> list[Arrived]:
+        """What was waited for long enough."""
+        due: list[Arrived] = []
+        for number in sorted(self._frames):
+            frame = self._frames[number]
+            poses = self._pose > number or frame.has_all_poses()
+            report = self._report > number or frame.report is not None
+            if not (poses and report) and now_s - frame.since_s < LATE_S:
+                break
+            due += self._frames.pop(number).all()
+            self._written = number
         return due
-
-
-def _comes_first(held: Arrived) -> bool:
-    told = held.told
-    return held.message.kind is ODOMETRY or (isinstance(told, pb.Event) and not told.robot)

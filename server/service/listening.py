@@ -64,6 +64,8 @@ class Listening:
                 self._ask(name, camera)
         if now_s - self._ticked_s >= TICK_S:
             self._ticked_s = now_s
+            for camera in self._cameras.values():
+                camera.tick(now_s)
             for disk in self._disks.values():
                 disk.look()
 
