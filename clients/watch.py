@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import select
 import sys
 import threading
 from collections.abc import Sequence
@@ -85,6 +86,8 @@ def _write_lines(session: "zenoh.Session", table: RobotTable, lines: JsonLines) 
             line = lines.next(LOOK_EVERY_S)
             if line is not None:
                 print(line, flush=True)
+            elif _is_left(sys.stdout.fileno()):
+                break
             if (note := table.mistyped()) != said:
                 print(f"asterism: {note}", file=sys.stderr, flush=True)
                 said = note
@@ -95,3 +98,12 @@ def _write_lines(session: "zenoh.Session", table: RobotTable, lines: JsonLines) 
         held.clear()
         if lines.left_out:
             print(f"asterism: {lines.left_out} lines were left out: what reads them is too slow", file=sys.stderr)
+
+
+def _is_left(file: int) -> bool:
+    """Whether it is a pipe that nobody reads any more."""
+    if not hasattr(select, "poll"):
+        return False
+    polled = select.poll()
+    polled.register(file, 0)  # of trouble it tells all the same
+    return any(told & select.POLLERR for _, told in polled.poll(0))

@@ -41,13 +41,15 @@ class InOrder:
     def __init__(self) -> None:
         self._frames: dict[int, _Frame] = {}
         self._written = -1  # number of the newest frame that was handed on
-        self._pose = self._report = -1  # numbers of the newest of each
+        self._pose = self._report = self._event = -1  # numbers of the newest of each
 
     def add(self, arrived: Arrived, now_s: float) -> list[Arrived]:
         """What can be written now that this one has arrived: of each frame events of the camera, poses, the report, and
         events of robots.
         """
         number, told = arrived.message.sequence, arrived.told
+        if isinstance(told, pb.Event):  # one that was held back tells of a frame that is over
+            number = self._event = max(self._event, number)
         if isinstance(told, pb.Status) or number <= self._written:
             return [arrived]
         frame = self._frames.setdefault(number, _Frame(now_s))

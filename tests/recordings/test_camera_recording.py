@@ -117,6 +117,15 @@ def test_frames_reports_that_come_late_stand_where_they_belong(tmp_path: Path, t
     )
 
 
+def test_events_keep_their_order_also_where_one_was_held_back(tmp_path: Path, told: list[Message]) -> None:
+    held_back = event(3, 1)  # of a robot that flickered: told with frame 3
+    events = [event(1, 0), event(2, 3), held_back, event(4, 4)]
+    listener = Listener(tmp_path, answer(rig())).hears([*told[:9], events[0], *events[1:3], *told[9:], events[3]])
+    assert listener.camera.missing.events == 0
+    (heard,) = listener.recordings()
+    assert [m.payload for m in heard.messages() if m.kind.schema == EVENT.schema] == [m.payload for m in events]
+
+
 def test_what_never_comes_of_a_frame_holds_nothing_up(tmp_path: Path, told: list[Message]) -> None:
     listener = Listener(tmp_path, answer(rig()))
     order = listener.camera._order

@@ -315,6 +315,7 @@ def test_review_writes_a_rerun_recording(served: tuple[list[dict[str, Any]], Pat
         "/world/camera/image/spots",
         "/world/camera/image/residuals",
         "/plots/latency/solving",
+        "/events",
     } <= paths
 
 
