@@ -49,6 +49,17 @@ class Outlets(NamedTuple):
     begun: Callable[[], None] | None = None  # called with every frame: there is one
 
 
+def _teller(outlets: Outlets) -> Callable[[list[Message], int | None], None]:
+    """What publishes and records events that come between frames; they are stamped in the session given."""
+
+    def tell(events: list[Message], session: int | None) -> None:
+        for told in outlets.publisher.publish(events, session):
+            if outlets.recorder is not None:
+                outlets.recorder.write([told], None, told.log_ns, told.sequence)
+
+    return tell
+
+
 class Stop:
     """Set by Ctrl-C, a signal, or whoever ends the run.
 
@@ -115,6 +126,7 @@ class Run:
         self._disk = None if outlets.recorder is None else Disk(outlets.recorder, say)
         self._systemd = Systemd()
         self._events = Events(rig.camera.name)
+        self._tell = _teller(outlets)
         self._reloads = pb.Reloads()
         self.reloader: Reloader | None = None
         if rig_path is not None:
@@ -219,7 +231,8 @@ class Run:
                     return
                 publisher.show_visible(())
                 silent_s += SILENT_S
-                self._tell(self._events.silent(silent_s, self._waiting() or f"no frame has come for {silent_s:g} s"))
+                why = self._waiting() or f"no frame has come for {silent_s:g} s"
+                self._tell(self._events.silent(silent_s, why), None)
                 # A camera that hangs says nothing: then nothing is said of us either, and systemd starts us anew.
                 if self._waiting() or not self.source.live:
                     self._systemd.alive()
@@ -248,12 +261,6 @@ class Run:
         session = self.clock.session if frame is None else frame.session
         first = None if frame is None else (frame.exposed_ns, frame.index)
         self._tell(self._events.rig_read(outcome.problem, first, self.clock.now_ns(session), session), session)
-
-    def _tell(self, events: list[Message], session: int | None = None) -> None:
-        """Events that are of no frame."""
-        for told in self.outlets.publisher.publish(events, session):
-            if self.outlets.recorder is not None:
-                self.outlets.recorder.write([told], None, told.log_ns, told.sequence)
 
     def _reloaded(self, outcome: Outcome, tracks: Tracks, motions: Motions) -> tuple[Tracks, Motions]:
         """Between two frames: take another rig, or say why not. Returns what is remembered for the next frame."""
