@@ -1,4 +1,4 @@
-"""Functions that are called with every pose: one that raises is told once and keeps nobody else from his."""
+"""Functions that are called with every pose or event: one that raises is told once and keeps nobody else from his."""
 
 import logging
 import threading
@@ -42,4 +42,4 @@ class Callbacks(Generic[T]):
                 self.raised += 1
                 if id(callback) not in self._raised:
                     self._raised.add(id(callback))
-                    _LOG.exception("a callback raised; it is told once, and called again with the next pose")
+                    _LOG.exception("a callback raised; it is told once, and called again with the next")

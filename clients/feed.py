@@ -10,7 +10,9 @@ from typing import NamedTuple
 
 from asterism.clients.accept import problem
 from asterism.clients.callbacks import Callbacks
+from asterism.clients.event_feed import EventFeed
 from asterism.clients.received_pose import ReceivedPose, clock_ns
+from asterism.clients.robot_event import RobotEvent
 from asterism.clients.server_state import FUTURE_S, LATE_S, ServerState
 from asterism.clients.stream import stream
 from asterism.protocol.codec import decode_odometry
@@ -40,6 +42,7 @@ class Feed:
         self._count = 0
         self._callbacks: Callbacks[ReceivedPose] = Callbacks()
         self._wakers: Callbacks[None] = Callbacks()
+        self._events = EventFeed()
         self._closed = False
         self.refused = 0  # messages that were no poses
         self.late = 0  # poses that arrived more than 0.3 s after they went out
@@ -86,6 +89,27 @@ class Feed:
     def off_pose(self, callback: Callable[[ReceivedPose], object]) -> None:
         """Take a callback back."""
         self._callbacks.remove(callback)
+
+    def on_event(self, callback: Callable[[RobotEvent], object]) -> Callable[[], None]:
+        """Have every event handed to ``callback``, on the thread of the client's events: the robot was lost or found,
+        frames stopped or came again, another rig is in force. What is returned takes it back.
+        """
+        return self._events.callbacks.add(callback)
+
+    def off_event(self, callback: Callable[[RobotEvent], object]) -> None:
+        """Take a callback back."""
+        self._events.callbacks.remove(callback)
+
+    def events(self, timeout_s: float | None = None) -> Iterator[RobotEvent]:
+        """Every event from now on, none skipped (up to 256 wait). Ends when the client is closed, or when there is none
+        for that time.
+        """
+        return self._events.after_now(timeout_s)
+
+    @property
+    def event(self) -> RobotEvent | None:
+        """The newest event, or None: none has arrived since the client began."""
+        return self._events.newest
 
     def _next(self, seen: int, timeout_s: float | None) -> ReceivedPose | None:
         """The pose that follows the first ``seen``, waited for; called under the lock."""
@@ -159,3 +183,4 @@ class Feed:
             self._closed = True
             self._changed.notify_all()
         self._wakers.call(None)
+        self._events.close()

@@ -30,6 +30,8 @@ class Row:
     leds: int = 0
     rms_px: float = 0.0
     rate_hz: float = 0.0
+    speed_mm_s: float | None = None  # where the server smooths
+    turning_deg_s: float | None = None
 
 
 class _Column(NamedTuple):
@@ -37,6 +39,7 @@ class _Column(NamedTuple):
     cell: Callable[[Row], str]
     rank: int = 0  # the lowest above 0 gives way first, 0 never
     number: bool = True
+    only_if: Callable[[Row], bool] | None = None  # it is shown where that is so of a row
 
 
 def _position(axis: int) -> Callable[[Row], str]:
@@ -47,25 +50,32 @@ def _with_pose(cell: Callable[[Row], str]) -> Callable[[Row], str]:
     return lambda row: "" if row.position_mm is None else cell(row)
 
 
-_CAMERA = _Column("camera", lambda row: row.camera, 8, number=False)
+def _told(value: float | None) -> str:
+    return "" if value is None else _decimals(value, 1)
+
+
+_CAMERA = _Column("camera", lambda row: row.camera, 10, number=False)
 _COLUMNS = (
     _Column("robot", lambda row: row.robot, number=False),
-    _Column("state", lambda row: row.state, 7, number=False),
-    _Column("age", lambda row: _age(row.age_s), 6),
+    _Column("state", lambda row: row.state, 9, number=False),
+    _Column("age", lambda row: _age(row.age_s), 8),
     _Column("x mm", _position(0)),
     _Column("y mm", _position(1)),
     _Column("z mm", _position(2)),
-    _Column("heading°", _with_pose(lambda row: _decimals(row.heading_deg, 1)), 5),
-    _Column("tilt°", _with_pose(lambda row: _decimals(row.tilt_deg, 1)), 3),
+    _Column("heading°", _with_pose(lambda row: _decimals(row.heading_deg, 1)), 7),
+    _Column("tilt°", _with_pose(lambda row: _decimals(row.tilt_deg, 1)), 4),
+    _Column("mm/s", lambda row: _told(row.speed_mm_s), 6, only_if=lambda row: row.speed_mm_s is not None),
+    _Column("°/s", lambda row: _told(row.turning_deg_s), 5, only_if=lambda row: row.turning_deg_s is not None),
     _Column("LEDs", _with_pose(lambda row: str(row.leds)), 2),
     _Column("rms px", _with_pose(lambda row: _decimals(row.rms_px, 3)), 1),
-    _Column("Hz", _with_pose(lambda row: f"{row.rate_hz:.0f}"), 4),
+    _Column("Hz", _with_pose(lambda row: f"{row.rate_hz:.0f}"), 3),
 )
 
 
 def table(rows: Sequence[Row], width: int) -> list[Text]:
     """Heading and rows in at most ``width`` cells, as far as names and positions have room there."""
     columns = [*([_CAMERA] if len({row.camera for row in rows}) > 1 else []), *_COLUMNS]
+    columns = [column for column in columns if column.only_if is None or any(map(column.only_if, rows))]
     shown = list(rows)
     if _needed(columns, shown) > width:
         shown = [_shortened(row) for row in rows]

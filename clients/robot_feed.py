@@ -36,6 +36,8 @@ class RobotFeed(Feed):
         with self._changed:
             ages = [held.pose.age_s for held in self._held.values()]
         told = f"no pose for {min(ages):.1f} s" if ages else "no pose yet"
+        if (event := self.event) is not None and event.lost:
+            told += f" ({event.reason})"
         return Link(LinkState.NO_POSE, f"robot {self.robot!r}: {told}; {link.sentence}")
 
     def _show(self, key: str, is_visible: bool) -> None:

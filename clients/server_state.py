@@ -28,6 +28,7 @@ class ServerState:
         self.camera = camera
         self._wanted = wanted  # set where somebody waits for its clock
         self.points: dict[str, dict[str, Floats]] = {}  # by robot and name, (3,) m in the robot's frame
+        self.axes: dict[str, Floats] = {}  # by robot: along it its LEDs shine, (3,) in the robot's frame
         self.protocol = 1
         self.newer_said = False
         self._told = threading.Condition()  # notified when the server answered for a session
@@ -56,6 +57,8 @@ class ServerState:
     def answers(self, report: "pb.RigReport", asked_ns: int, answered_ns: int) -> None:
         """It answered for its rig, and told its clock; one of protocol 1 tells none."""
         self.points = {robot.id: _finite(robot) for robot in report.robots}
+        axes = {robot.id: np.array([robot.axis.x, robot.axis.y, robot.axis.z]) for robot in report.robots}
+        self.axes = {robot: axis for robot, axis in axes.items() if 0.0 < np.linalg.norm(axis) < math.inf}
         self.protocol = max(report.protocol, 1)
         if not report.time_ns:
             self.tells_nothing()

@@ -1,10 +1,11 @@
-"""asterism watch: a live table of every robot, or every frame as a line of JSON."""
+"""asterism watch: a live table of every robot, or every frame and event as a line of JSON."""
 
 import contextlib
+import os
+import select
 import sys
 import threading
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,18 +14,17 @@ from rich.live import Live
 
 from asterism.clients.asking import asking
 from asterism.clients.json_lines import JsonLines
+from asterism.clients.waiting import waited_for
 from asterism.clients.watched import RobotTable
 from asterism.protocol import keys
 from asterism.protocol.errors import InputError
-from asterism.protocol.network import DEFAULT_ENDPOINT, check_endpoint, client_config
 
 if TYPE_CHECKING:
     import zenoh
 
 REFRESH_HZ = 5
 PLAIN_EVERY_S = 2.0
-LOOK_EVERY_S = 0.5  # whether anything is to be said while no frame comes
-RETRY_S = 0.5
+LOOK_EVERY_S = 0.2  # how things stand, while no line comes
 
 
 def show(table: RobotTable, console: Console, stop: threading.Event, waiting: str = "") -> None:
@@ -55,11 +55,11 @@ def watch(
     table = RobotTable(robots, prefix)
     with (
         contextlib.suppress(KeyboardInterrupt),
-        _session(connect, options) as (session, endpoint),
+        waited_for(connect, options) as (session, endpoint),
         asking(session, prefix + keys.rig("*"), table.servers),
     ):
         if as_json:
-            _write_lines(session, table, JsonLines(robots, prefix))
+            _write_lines(session, table, JsonLines(robots, prefix, table.servers))
             return
         held = table.subscribe(session)
         try:
@@ -75,43 +75,35 @@ def check_prefix(prefix: str) -> None:
         raise InputError(f"--prefix {prefix!r}: expected parts of a key that end with '/', such as replay/")
 
 
-@contextlib.contextmanager
-def _session(connect: str | None, options: Path | None) -> "Iterator[tuple[zenoh.Session, str]]":
-    """A session with the server, waited for until there is one, and where it is."""
-    import zenoh
-
-    if connect is not None:
-        check_endpoint(connect)
-    config = client_config(connect, options)
-    endpoint = connect or (str(options) if options else DEFAULT_ENDPOINT)
-    session, said = None, False
-    while session is None:
-        try:
-            session = zenoh.open(config)
-        except zenoh.ZError:
-            if not said:
-                print(f"waiting for a server at {endpoint} ...", file=sys.stderr, flush=True)
-                said = True
-            time.sleep(RETRY_S)
-    try:
-        yield session, endpoint
-    finally:
-        session.close()
-
-
 def _write_lines(session: "zenoh.Session", table: RobotTable, lines: JsonLines) -> None:
-    """Every frame as a line on standard output; what is to be said besides goes to standard error, once."""
-    held = lines.subscribe(session)
+    """Everything as lines on standard output, each at once, until whoever reads them has enough; what is to be said
+    besides goes to standard error, once.
+    """
+    held = [*table.follow_servers(session), *lines.subscribe(session)]
     said = ""
     try:
         while True:
             line = lines.next(LOOK_EVERY_S)
             if line is not None:
                 print(line, flush=True)
+            elif _is_left(sys.stdout.fileno()):
+                break
             if (note := table.mistyped()) != said:
                 print(f"asterism: {note}", file=sys.stderr, flush=True)
                 said = note
+    except BrokenPipeError:
+        # What is left in the buffer has nowhere to go when Python ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     finally:
         held.clear()
         if lines.left_out:
-            print(f"asterism: {lines.left_out} frames were left out: what reads the lines is too slow", file=sys.stderr)
+            print(f"asterism: {lines.left_out} lines were left out: what reads them is too slow", file=sys.stderr)
+
+
+def _is_left(file: int) -> bool:
+    """Whether it is a pipe that nobody reads any more."""
+    if not hasattr(select, "poll"):
+        return False
+    polled = select.poll()
+    polled.register(file, 0)  # of trouble it tells all the same
+    return any(told & select.POLLERR for _, told in polled.poll(0))

@@ -12,15 +12,16 @@ from rich.text import Text
 
 from asterism.clients import layout
 from asterism.clients.age import SessionAge
+from asterism.clients.angles import UP, heading_deg, tilt_deg
 from asterism.clients.layout import Row, printable
 from asterism.clients.link_state import Link, LinkState
 from asterism.clients.received_pose import clock_ns
+from asterism.clients.server_state import ServerState
 from asterism.clients.servers import Servers
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
 from asterism.protocol.codec import decode_beat, decode_frame_report, decode_status, report_pose
 from asterism.protocol.errors import InputError
-from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import State
 
 if TYPE_CHECKING:
@@ -74,6 +75,12 @@ class RobotTable:
         return [
             session.declare_subscriber(self._prefix + keys.frame("*"), self._frame),
             session.declare_subscriber(self._prefix + keys.status("*"), self._health),
+            *self.follow_servers(session),
+        ]
+
+    def follow_servers(self, session: "zenoh.Session") -> list[object]:
+        """The same for what tells whether servers live, alone."""
+        return [
             session.declare_subscriber(self._prefix + keys.beat("*"), self._beat),
             session.liveliness().declare_subscriber(self._prefix + keys.alive("*"), self._shows, history=True),
         ]
@@ -89,7 +96,7 @@ class RobotTable:
         with self._lock:
             camera = self._camera(sample, now_ns)
             try:
-                rows = [_row(self._name(sample), robot) for robot in report.robots]
+                rows = [_row(server, robot, report.frame_id) for robot in report.robots]
             except InputError as error:
                 self._refused = f"{sample.key_expr}: {error}; ignored"
                 return
@@ -207,11 +214,11 @@ def _server_lines(name: str, status: "pb.Status | None", link: Link, width: int)
     return [Text(text, style="dim")]
 
 
-def _row(camera: str, robot: "pb.RobotReport") -> Row:
+def _row(server: ServerState, robot: "pb.RobotReport", frame_id: str) -> Row:
     """A robot as its report has it. Raises InputError for a report that no server of ours makes."""
     if robot.state not in State.values():
         raise InputError(f"robot {robot.id[:40]!r}: state {robot.state}, expected one of {', '.join(State.keys()[1:])}")
-    row = Row(printable(camera), robot.id, State.Name(robot.state), printable(robot.reason))
+    row = Row(printable(server.camera), robot.id, State.Name(robot.state), printable(robot.reason))
     if not robot.HasField("pose"):
         return row
     try:
@@ -219,19 +226,21 @@ def _row(camera: str, robot: "pb.RobotReport") -> Row:
     except InputError as error:
         raise InputError(f"robot {robot.id[:40]!r}: {error}") from None
     (x, y, z), turn = (1e3 * pose.position).tolist(), pose.rotation
+    moves = robot.velocity if robot.HasField("velocity") else None
     return replace(
         row,
         position_mm=(x, y, z),
-        heading_deg=math.degrees(math.atan2(turn[1, 0], turn[0, 0])),
-        tilt_deg=math.degrees(_tilt(turn)),
+        heading_deg=heading_deg(turn),
+        tilt_deg=tilt_deg(turn, server.axes.get(robot.id, UP), frame_id),
         leds=robot.leds,
         rms_px=robot.rms_px,
+        speed_mm_s=None if moves is None else 1e3 * _length(moves.linear),
+        turning_deg_s=None if moves is None else math.degrees(_length(moves.angular)),
     )
 
 
-def _tilt(turn: Floats) -> float:
-    """Angle in rad between the robot's z axis and the vertical of the parent frame (either way up)."""
-    return math.acos(min(abs(float(turn[2, 2])), 1.0))
+def _length(vector: "pb.Vector3") -> float:
+    return math.hypot(vector.x, vector.y, vector.z)
 
 
 def _aged(robot: _Robot, camera: _Camera, now_ns: int) -> Row:

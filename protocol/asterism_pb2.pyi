@@ -35,6 +35,15 @@ class Clock(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ARRIVAL: _ClassVar[Clock]
     FILE: _ClassVar[Clock]
     PLAYED: _ClassVar[Clock]
+
+class Happening(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    HAPPENING_UNSPECIFIED: _ClassVar[Happening]
+    STATE_CHANGED: _ClassVar[Happening]
+    FRAMES_STOPPED: _ClassVar[Happening]
+    FRAMES_CAME: _ClassVar[Happening]
+    RIG_READ: _ClassVar[Happening]
+    RIG_REFUSED: _ClassVar[Happening]
 STATE_UNSPECIFIED: State
 TRACKED: State
 TILT_AMBIGUOUS: State
@@ -56,6 +65,12 @@ DRIVER: Clock
 ARRIVAL: Clock
 FILE: Clock
 PLAYED: Clock
+HAPPENING_UNSPECIFIED: Happening
+STATE_CHANGED: Happening
+FRAMES_STOPPED: Happening
+FRAMES_CAME: Happening
+RIG_READ: Happening
+RIG_REFUSED: Happening
 
 class Vector3(_message.Message):
     __slots__ = ("x", "y", "z")
@@ -120,7 +135,7 @@ class Alternative(_message.Message):
     def __init__(self, pose: _Optional[_Union[Pose, _Mapping]] = ..., odds: _Optional[float] = ...) -> None: ...
 
 class RobotReport(_message.Message):
-    __slots__ = ("id", "state", "reason", "pose", "covariance", "leds", "rms_px", "led", "spot", "residual_x", "residual_y", "alternative", "points", "smoothed_by", "extrapolated")
+    __slots__ = ("id", "state", "reason", "pose", "covariance", "leds", "rms_px", "led", "spot", "residual_x", "residual_y", "alternative", "points", "smoothed_by", "extrapolated", "velocity")
     class PointsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -143,6 +158,7 @@ class RobotReport(_message.Message):
     POINTS_FIELD_NUMBER: _ClassVar[int]
     SMOOTHED_BY_FIELD_NUMBER: _ClassVar[int]
     EXTRAPOLATED_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_FIELD_NUMBER: _ClassVar[int]
     id: str
     state: State
     reason: str
@@ -158,7 +174,18 @@ class RobotReport(_message.Message):
     points: _containers.MessageMap[str, Vector3]
     smoothed_by: str
     extrapolated: bool
-    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[State, str]] = ..., reason: _Optional[str] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., leds: _Optional[int] = ..., rms_px: _Optional[float] = ..., led: _Optional[_Iterable[int]] = ..., spot: _Optional[_Iterable[int]] = ..., residual_x: _Optional[_Iterable[float]] = ..., residual_y: _Optional[_Iterable[float]] = ..., alternative: _Optional[_Union[Alternative, _Mapping]] = ..., points: _Optional[_Mapping[str, Vector3]] = ..., smoothed_by: _Optional[str] = ..., extrapolated: bool = ...) -> None: ...
+    velocity: Velocity
+    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[State, str]] = ..., reason: _Optional[str] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., leds: _Optional[int] = ..., rms_px: _Optional[float] = ..., led: _Optional[_Iterable[int]] = ..., spot: _Optional[_Iterable[int]] = ..., residual_x: _Optional[_Iterable[float]] = ..., residual_y: _Optional[_Iterable[float]] = ..., alternative: _Optional[_Union[Alternative, _Mapping]] = ..., points: _Optional[_Mapping[str, Vector3]] = ..., smoothed_by: _Optional[str] = ..., extrapolated: bool = ..., velocity: _Optional[_Union[Velocity, _Mapping]] = ...) -> None: ...
+
+class Velocity(_message.Message):
+    __slots__ = ("linear", "angular", "covariance")
+    LINEAR_FIELD_NUMBER: _ClassVar[int]
+    ANGULAR_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    linear: Vector3
+    angular: Vector3
+    covariance: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, linear: _Optional[_Union[Vector3, _Mapping]] = ..., angular: _Optional[_Union[Vector3, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Learned(_message.Message):
     __slots__ = ("led_misfit",)
@@ -271,6 +298,34 @@ class Status(_message.Message):
     messages_not_recorded: int
     session: int
     def __init__(self, time_ns: _Optional[int] = ..., source: _Optional[str] = ..., frames: _Optional[int] = ..., frames_dropped: _Optional[int] = ..., frames_unreadable: _Optional[int] = ..., frames_not_recorded: _Optional[int] = ..., rate_hz: _Optional[float] = ..., solve_p50_s: _Optional[float] = ..., solve_p99_s: _Optional[float] = ..., latency_p50_s: _Optional[float] = ..., latency_p99_s: _Optional[float] = ..., rejected: _Optional[_Mapping[str, int]] = ..., robots: _Optional[_Mapping[str, int]] = ..., problem: _Optional[str] = ..., messages_not_recorded: _Optional[int] = ..., session: _Optional[int] = ...) -> None: ...
+
+class Event(_message.Message):
+    __slots__ = ("robot", "happening", "before", "state", "reason", "since_ns", "lasted_s", "sequence", "session", "number", "left_out", "published_ns")
+    ROBOT_FIELD_NUMBER: _ClassVar[int]
+    HAPPENING_FIELD_NUMBER: _ClassVar[int]
+    BEFORE_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    SINCE_NS_FIELD_NUMBER: _ClassVar[int]
+    LASTED_S_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    LEFT_OUT_FIELD_NUMBER: _ClassVar[int]
+    PUBLISHED_NS_FIELD_NUMBER: _ClassVar[int]
+    robot: str
+    happening: Happening
+    before: State
+    state: State
+    reason: str
+    since_ns: int
+    lasted_s: float
+    sequence: int
+    session: int
+    number: int
+    left_out: int
+    published_ns: int
+    def __init__(self, robot: _Optional[str] = ..., happening: _Optional[_Union[Happening, str]] = ..., before: _Optional[_Union[State, str]] = ..., state: _Optional[_Union[State, str]] = ..., reason: _Optional[str] = ..., since_ns: _Optional[int] = ..., lasted_s: _Optional[float] = ..., sequence: _Optional[int] = ..., session: _Optional[int] = ..., number: _Optional[int] = ..., left_out: _Optional[int] = ..., published_ns: _Optional[int] = ...) -> None: ...
 
 class RigRobot(_message.Message):
     __slots__ = ("id", "leds", "axis", "points")

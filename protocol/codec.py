@@ -23,7 +23,7 @@ from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.camera import Camera
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose
-from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, PROTOCOL, STATUS, Message, RobotPose, Velocity
+from asterism.protocol.messages import EVENT, FRAME_REPORT, ODOMETRY, PROTOCOL, STATUS, Message, RobotPose, Velocity
 from asterism.protocol.rig import Rig
 
 SECOND_NS = 1_000_000_000
@@ -32,6 +32,8 @@ _ACCELERATIONS = ("acceleration", "turn_acceleration")
 _FARTHEST_M = 1e9
 _LONGEST = 200  # of a reason
 UNIT = 1e-3  # a quaternion may be off unit length by so much
+_HAPPENINGS = frozenset(pb.Happening.values()) - {0}
+_STATES = frozenset(pb.State.values())
 _DATA_TAG = bytes([RawImage.DATA_FIELD_NUMBER << 3 | 2])  # a field of bytes
 
 M = TypeVar("M", bound=Protobuf)
@@ -135,11 +137,13 @@ def in_session(message: Message, session: int) -> Message:
         payload += to_bytes(pb.FrameReport(session=session))
     elif message.kind.schema == STATUS.schema:
         payload += to_bytes(pb.Status(session=session))
+    elif message.kind.schema == EVENT.schema:
+        payload += to_bytes(pb.Event(session=session))
     return replace(message, payload=payload)
 
 
 def stamped(message: Message, published_ns: int) -> Message:
-    """The message as it goes out at that time, ns since the Unix epoch: poses and frame reports tell it.
+    """The message as it goes out at that time, ns since the Unix epoch: poses, frame reports and events tell it.
 
     Protobuf lets a field come last: the bytes that are there stay as they are, and stamping takes no encoding.
     """
@@ -148,6 +152,8 @@ def stamped(message: Message, published_ns: int) -> Message:
         payload += _odometry_stamp(published_ns)
     elif message.kind is FRAME_REPORT:
         payload += to_bytes(pb.FrameReport(published_ns=published_ns))
+    elif message.kind is EVENT:
+        payload += to_bytes(pb.Event(published_ns=published_ns))
     return replace(message, payload=payload, publish_ns=published_ns)
 
 
@@ -218,6 +224,20 @@ def report_pose(message: "pb.Pose") -> Pose:
     if not (abs(length - 1.0) <= UNIT and all(abs(v) <= _FARTHEST_M for v in (p.x, p.y, p.z))):
         raise InputError(f"a pose at {p.x:g}, {p.y:g}, {p.z:g} m, its quaternion of length {length:.3g}, is none")
     return Pose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
+
+
+def decode_event(payload: bytes) -> "pb.Event":
+    """Raises InputError for bytes that are none, such as another message, and for one that no server makes."""
+    event = _parse(pb.Event(), payload)
+    if not is_event(event):
+        raise InputError(f"{len(payload)} bytes that are no {event.DESCRIPTOR.full_name} (nothing has happened)")
+    return event
+
+
+def is_event(event: "pb.Event") -> bool:
+    """Whether a server makes such a one."""
+    known = event.happening in _HAPPENINGS and event.before in _STATES and event.state in _STATES
+    return known and event.number > 0 and event.since_ns < 1 << 63 and 0.0 <= event.lasted_s < math.inf
 
 
 def decode_beat(payload: bytes) -> "pb.Beat":

@@ -27,6 +27,11 @@ def status(camera: str) -> str:
     return f"{PREFIX}/{camera}/status"
 
 
+def event(camera: str) -> str:
+    """What happened, when it happens: a robot was lost or found, frames stopped, another rig is in force."""
+    return f"{PREFIX}/{camera}/event"
+
+
 def beat(camera: str) -> str:
     """The server's beat, five times a second, whatever its camera does."""
     return f"{PREFIX}/{camera}/beat"

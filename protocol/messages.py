@@ -11,6 +11,7 @@ from asterism.protocol.geometry import Floats, Pose
 State = pb.State
 Fate = pb.Fate
 Clock = pb.Clock
+Happening = pb.Happening
 
 PROTOCOL = 2  # of these messages, told by every rig reply and recording; a message that tells none is of 1
 
@@ -31,6 +32,7 @@ class Kind:
 ODOMETRY = Kind("foxglove.Odometry", on_wire=True)
 FRAME_REPORT = Kind("asterism.FrameReport", on_wire=True)
 STATUS = Kind("asterism.Status", on_wire=True)
+EVENT = Kind("asterism.Event", on_wire=True)
 BEAT = Kind("asterism.Beat", on_wire=True)
 RIG_REPORT = Kind("asterism.RigReport", on_wire=True)
 TRANSFORMS = Kind("foxglove.FrameTransforms", on_wire=False)

@@ -30,6 +30,8 @@ _TX_QUEUE = 16
 # what the kernel holds for a socket (twice the number given to it). On a fast link nothing was lost (measured).
 ODOMETRY_PRIORITY = "INTERACTIVE_HIGH"
 _ODOMETRY_QUEUE = 2
+# Events have a queue of their own too, which they cannot fill, and come before frame reports.
+EVENT_PRIORITY = "DATA_HIGH"
 _BATCH_BYTES = 16_384
 _SOCKET_BYTES = 32_768
 # Who opens a connection and says nothing holds one of the places of those that wait; by default new clients wait 10 s.

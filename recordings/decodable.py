@@ -14,11 +14,12 @@ from google.protobuf.message import Message as Protobuf
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
-from asterism.protocol.codec import UNIT, decode_frame_report
+from asterism.protocol.codec import UNIT, decode_event, decode_frame_report, is_event
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import (
     ANNOTATIONS,
     CALIBRATION,
+    EVENT,
     FRAME_REPORT,
     IMAGE,
     ODOMETRY,
@@ -56,9 +57,17 @@ def read_report(payload: bytes, where: Path) -> "pb.FrameReport":
     return report
 
 
+def read_event(payload: bytes, where: Path) -> "pb.Event":
+    """The event in a recording's message. Raises InputError for one that no server of Asterism makes."""
+    try:
+        return decode_event(payload)
+    except InputError as error:
+        raise InputError(f"{where}: {error}; run this first: {typed('recover', where)}") from None
+
+
 def channel_of(payload: bytes | memoryview, camera: str) -> tuple[str, Kind] | None:
     """The key and kind of a message whose channel is lost, told by what it holds; None where that fits nothing."""
-    for kind in (IMAGE, FRAME_REPORT, ODOMETRY, STATUS, CALIBRATION, TRANSFORMS, ANNOTATIONS):
+    for kind in (IMAGE, FRAME_REPORT, ODOMETRY, STATUS, EVENT, CALIBRATION, TRANSFORMS, ANNOTATIONS):
         make, is_sound = _KNOWN[kind.schema]
         message = make()
         try:
@@ -77,6 +86,7 @@ def _key(kind: Kind, message: Protobuf, camera: str) -> str:
         IMAGE.schema: keys.image,
         FRAME_REPORT.schema: keys.frame,
         STATUS.schema: keys.status,
+        EVENT.schema: keys.event,
         CALIBRATION.schema: keys.calibration,
         ANNOTATIONS.schema: keys.annotations,
     }
@@ -145,6 +155,7 @@ _KNOWN: dict[str, tuple[Callable[[], Protobuf], Callable[..., bool]]] = {
     ODOMETRY.schema: (Odometry, _odometry),
     FRAME_REPORT.schema: (pb.FrameReport, _report),
     STATUS.schema: (pb.Status, _always),
+    EVENT.schema: (pb.Event, is_event),
     CALIBRATION.schema: (CameraCalibration, _always),
     TRANSFORMS.schema: (FrameTransforms, _always),
     ANNOTATIONS.schema: (ImageAnnotations, _always),
@@ -155,6 +166,7 @@ _SURE: dict[str, Callable[..., bool]] = {
     ODOMETRY.schema: lambda told: bool(told.body_frame_id),
     FRAME_REPORT.schema: lambda report: report.exposed_ns > 0 and len(report.robots) > 0 and bool(report.frame_id),
     STATUS.schema: lambda status: status.time_ns > 0 and bool(status.source),
+    EVENT.schema: lambda event: event.since_ns > 0,
     CALIBRATION.schema: lambda told: len(told.K) == 9 and len(told.P) == 12,
     TRANSFORMS.schema: lambda told: all(entry.parent_frame_id and entry.child_frame_id for entry in told.transforms),
     ANNOTATIONS.schema: lambda told: all(circle.HasField("position") for circle in told.circles),

@@ -13,6 +13,7 @@ plots/angles/<id>/roll        degrees, in the parent frame (without a world: in 
 plots/residual/<id>           px
 plots/latency                 ms
 states/<id>                   TRACKED, TILT_AMBIGUOUS, IDENTITY_AMBIGUOUS, LOST
+events                        what happened, as sentences
 """
 
 from collections import deque
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.codec import report_pose
+from asterism.protocol.event_text import is_loss, sentence
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.messages import State
 from asterism.protocol.rig import Rig
@@ -86,6 +88,11 @@ class Drawing:
         self._scalar("plots/latency/exposure_to_network", (report.published_ns - report.exposed_ns) * 1e-6)
         rows = ((robot, poses.get(robot.id), angles.get(robot.id)) for robot in report.robots)
         self._stream.log("robots", rr.TextDocument(robot_table(rows), media_type="text/markdown"))
+
+    def event(self, event: "pb.Event") -> None:
+        """Write down what happened."""
+        self._at(event.since_ns, event.sequence)
+        self._stream.log("events", rr.TextLog(sentence(event), level="WARN" if is_loss(event) else "INFO"))
 
     def _at(self, time_ns: int, sequence: int) -> None:
         self._stream.set_time("exposed", timestamp=np.datetime64(time_ns, "ns"))

@@ -26,7 +26,10 @@ def blueprint(rig: Rig) -> rrb.Blueprint:
                     rrb.StateTimelineView(origin="states", name="states"),
                     row_shares=[75 + 23 * rows, 75 + 28 * rows],
                 ),
-                rrb.Tabs(*(_robot_plots(robot.id) for robot in rig.robots)),
+                rrb.Tabs(
+                    *(_robot_plots(robot.id) for robot in rig.robots),
+                    rrb.TextLogView(origin="events", name="events"),
+                ),
                 column_shares=[4, 7],
             ),
             row_shares=[1, 1],

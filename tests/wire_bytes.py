@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from asterism.protocol.codec import decode_frame_report, in_session
-from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message
+from asterism.protocol.messages import EVENT, FRAME_REPORT, ODOMETRY, Message
 from asterism.recordings.reader import Recording
 
 Keyed = dict[str, list[bytes]]
@@ -37,7 +37,7 @@ def in_the_session_of(played: Keyed, recorded: Keyed) -> Keyed:
 
 
 def _kind(key: str) -> Any:
-    return ODOMETRY if key.endswith("/odometry") else FRAME_REPORT
+    return {"odometry": ODOMETRY, "event": EVENT}.get(key.rpartition("/")[2], FRAME_REPORT)
 
 
 def _by_key(pairs: list[tuple[str, bytes]]) -> Keyed:

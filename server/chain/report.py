@@ -84,6 +84,10 @@ def frame_report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int) ->
         entry.rms_px = answer.rms_px
         entry.smoothed_by = answer.smoothed_by
         entry.extrapolated = answer.extrapolated
+        if isinstance(answer, SmoothedPose) and answer.velocity is not None:
+            set_vector(entry.velocity.linear, answer.velocity.linear)
+            set_vector(entry.velocity.angular, answer.velocity.angular)
+            entry.velocity.covariance.extend(answer.velocity.covariance.ravel().tolist())
         entry.led.extend(answer.leds)
         entry.spot.extend(answer.spots)
         entry.residual_x.extend(answer.residuals_px[:, 0].tolist())

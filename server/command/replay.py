@@ -5,6 +5,7 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack
+from itertools import chain
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
@@ -100,14 +101,16 @@ def _solved(recording: Recording, rig: Rig) -> Iterator[Message]:
     from asterism.server.chain.pipeline import localize
     from asterism.server.chain.report import report
     from asterism.server.pose.track import Tracks
+    from asterism.server.service.events import Events
 
-    tracks = Tracks.none()
+    tracks, events = Tracks.none(), Events(rig.camera.name)
     for image, exposed_ns, index in recording.frames():
         check_image_size(rig.camera, image.shape[1], image.shape[0], f"{recording.path}, frame {index}")
         frame = Frame(image, exposed_ns, index, f"{index:06d}", exposed_ns)
         result, tracks = localize(frame, rig, tracks)
         # Solved again, the frame has no times of its own beyond its exposure.
-        yield from (stamped(message, exposed_ns) for message in report(frame, result, rig, exposed_ns))
+        messages = chain(report(frame, result, rig, exposed_ns), events.add(result, frame.session))
+        yield from (stamped(message, exposed_ns) for message in messages)
 
 
 def _step(step_ns: int) -> str:

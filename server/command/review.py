@@ -14,9 +14,9 @@ import rerun.blueprint as rrb
 
 from asterism.protocol.codec import decode_image
 from asterism.protocol.errors import InputError
-from asterism.protocol.messages import FRAME_REPORT, IMAGE
+from asterism.protocol.messages import EVENT, FRAME_REPORT, IMAGE
 from asterism.protocol.rig import Rig
-from asterism.recordings.decodable import read_report
+from asterism.recordings.decodable import read_event, read_report
 from asterism.recordings.drawing import APPLICATION, Drawing
 from asterism.recordings.layout import blueprint
 from asterism.recordings.reader import Recording
@@ -69,5 +69,7 @@ def write_rrd(recording: Recording, out: Path, views: Callable[[Rig], rrb.Bluepr
             drawing.image(decode_image(message.payload), message.log_ns, message.sequence)
         elif message.kind.schema == FRAME_REPORT.schema:
             drawing.report(read_report(message.payload, recording.path))
+        elif message.kind.schema == EVENT.schema:
+            drawing.event(read_event(message.payload, recording.path))
     stream.flush()
     stream.disconnect()

@@ -19,7 +19,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     part.add_argument(
         "--prefix", metavar="PREFIX", default="", help="what stands before every key: replay/ to watch a replay"
     )
-    part.add_argument("--json", action="store_true", help="every frame as a line of JSON, as locate writes them")
+    part.add_argument("--json", action="store_true", help="every frame and event as a line of JSON")
     add_client(part)
 
 

@@ -10,8 +10,8 @@ import zenoh
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
 from asterism.protocol.codec import stamped, to_bytes
-from asterism.protocol.messages import BEAT, ODOMETRY, RIG_REPORT, Message
-from asterism.protocol.network import ODOMETRY_PRIORITY
+from asterism.protocol.messages import BEAT, EVENT, ODOMETRY, RIG_REPORT, Message
+from asterism.protocol.network import EVENT_PRIORITY, ODOMETRY_PRIORITY
 from asterism.server.service.threads import Ticker
 
 BEAT_EVERY_S = 0.2
@@ -138,9 +138,11 @@ class Publisher:
 
 
 def _priority(message: Message) -> zenoh.Priority:
-    """Odometry has a queue of its own, that is short: a late pose is worth nothing."""
-    name = ODOMETRY_PRIORITY if message.kind.schema == ODOMETRY.schema else "DATA"
-    priority: zenoh.Priority = getattr(zenoh.Priority, name)
+    """Odometry has a queue of its own, that is short: a late pose is worth nothing. Events have one that nothing else
+    fills, so that none of them is dropped for a frame report.
+    """
+    names = {ODOMETRY.schema: ODOMETRY_PRIORITY, EVENT.schema: EVENT_PRIORITY}
+    priority: zenoh.Priority = getattr(zenoh.Priority, names.get(message.kind.schema, "DATA"))
     return priority
 
 

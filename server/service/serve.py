@@ -9,8 +9,10 @@ from typing import NamedTuple
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.codec import encode_rig, to_bytes
+from asterism.protocol.messages import Message
 from asterism.protocol.rig import Rig
 from asterism.recordings.recorder import Recorder
+from asterism.server.chain.frame import Frame
 from asterism.server.chain.pipeline import localize
 from asterism.server.chain.report import report
 from asterism.server.chain.smooth import Motions, smooth
@@ -20,6 +22,7 @@ from asterism.server.service.adviser import Adviser
 from asterism.server.service.carry import carried, carried_motions
 from asterism.server.service.disk import Disk
 from asterism.server.service.drift import Drift
+from asterism.server.service.events import Events
 from asterism.server.service.health import Health
 from asterism.server.service.live_line import Now
 from asterism.server.service.outlets import Outlet
@@ -44,6 +47,17 @@ class Outlets(NamedTuple):
     recorder: Recorder | None = None
     others: tuple[Outlet, ...] = ()
     begun: Callable[[], None] | None = None  # called with every frame: there is one
+
+
+def _teller(outlets: Outlets) -> Callable[[list[Message], int | None], None]:
+    """What publishes and records events that come between frames; they are stamped in the session given."""
+
+    def tell(events: list[Message], session: int | None) -> None:
+        for told in outlets.publisher.publish(events, session):
+            if outlets.recorder is not None:
+                outlets.recorder.write([told], None, told.log_ns, told.sequence)
+
+    return tell
 
 
 class Stop:
@@ -111,6 +125,8 @@ class Run:
         self._drift = Drift(rig, say)
         self._disk = None if outlets.recorder is None else Disk(outlets.recorder, say)
         self._systemd = Systemd()
+        self._events = Events(rig.camera.name)
+        self._tell = _teller(outlets)
         self._reloads = pb.Reloads()
         self.reloader: Reloader | None = None
         if rig_path is not None:
@@ -204,19 +220,24 @@ class Run:
 
     def _loop(self, feed: Feed, smoothed: bool) -> None:
         publisher, recorder = self.outlets.publisher, self.outlets.recorder
-        tracks, motions = Tracks.none(), Motions.none()
+        tracks, motions, silent_s = Tracks.none(), Motions.none(), 0.0
         while not self.stop():
             frame = feed.next(SILENT_S)
             if self.reloader is not None and (outcome := self.reloader.take()) is not None:
                 tracks, motions = self._reloaded(outcome, tracks, motions)
+                self._tell_rig(outcome, frame)
             if frame is None:
                 if feed.finished:
                     return
                 publisher.show_visible(())
+                silent_s += SILENT_S
+                why = self._waiting() or f"no frame has come for {silent_s:g} s"
+                self._tell(self._events.silent(silent_s, why), None)
                 # A camera that hangs says nothing: then nothing is said of us either, and systemd starts us anew.
                 if self._waiting() or not self.source.live:
                     self._systemd.alive()
                 continue
+            silent_s = 0.0
             result, tracks = localize(frame, self.rig, tracks)
             if smoothed:
                 result, motions = smooth(result, motions)
@@ -226,13 +247,20 @@ class Run:
             publisher.show_visible(located)
             self.health.add(frame, result, solved_ns, messages[-1].publish_ns)
             self._drift.add(result)
+            events = publisher.publish(self._events.add(result, frame.session), frame.session)
             if recorder is not None:
-                recorder.write(messages, frame.image, frame.exposed_ns, frame.index)
+                recorder.write([*messages, *events], frame.image, frame.exposed_ns, frame.index)
             for outlet in self.outlets.others:
                 outlet.write(messages, frame)
             if self.outlets.begun is not None:
                 self.outlets.begun()
             self._systemd.alive()
+
+    def _tell_rig(self, outcome: Outcome, frame: Frame | None) -> None:
+        """Before the first frame that another rig solves: that it is in force, or why it is not."""
+        session = self.clock.session if frame is None else frame.session
+        first = None if frame is None else (frame.exposed_ns, frame.index)
+        self._tell(self._events.rig_read(outcome.problem, first, self.clock.now_ns(session), session), session)
 
     def _reloaded(self, outcome: Outcome, tracks: Tracks, motions: Motions) -> tuple[Tracks, Motions]:
         """Between two frames: take another rig, or say why not. Returns what is remembered for the next frame."""

@@ -1,47 +1,22 @@
 """The live table: what it shows of what arrives, in how many columns, and what it forgets."""
 
 import io
-import json
+import math
 import re
+from dataclasses import replace
 
 import pytest
-import zenoh
 from rich.console import Console
 
 from asterism.clients.age import SLACK_S
-from asterism.clients.json_lines import JsonLines, as_json
 from asterism.clients.layout import Row, joined, printable, shorten, table
 from asterism.clients.watch import check_prefix
 from asterism.clients.watched import FORGOTTEN_NS, MOST_CAMERAS, RobotTable
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.codec import decode_rig, encode_rig, to_bytes
 from asterism.protocol.errors import InputError
+from tests.clients.samples import Clock, Sample, moving_report
 from tests.protocol import make_golden
-
-
-class Sample:
-    """As much of a zenoh sample as the table looks at."""
-
-    def __init__(self, key: str, payload: bytes, alive: bool = True) -> None:
-        self.key_expr = key
-        self.kind = zenoh.SampleKind.PUT if alive else zenoh.SampleKind.DELETE
-        self.payload = self
-        self._payload = payload
-
-    def to_bytes(self) -> bytes:
-        return self._payload
-
-
-class Clock:
-    """Time that passes when it is told to, ns."""
-
-    now = 1_000_000_000_000
-
-    def __call__(self) -> int:
-        return self.now
-
-    def passes(self, seconds: float) -> None:
-        self.now += round(1e9 * seconds)
 
 
 def tell_clock(table: RobotTable, clock: Clock, time_ns: int) -> None:
@@ -289,17 +264,39 @@ def test_prefixes_of_keys_are_taken() -> None:
         check_prefix(prefix)
 
 
-def test_json_lines_are_those_of_locate() -> None:
-    lines = JsonLines(["alpha"], "replay/")
-    lines._frame(Sample("replay/asterism/cam/frame", to_bytes(make_golden.frame_report())))  # type: ignore[arg-type]
-    told = json.loads(lines.next(1.0) or "")
-    assert (told["camera"], told["frame"], told["lost"]) == ("cam", "000042", {})
-    (alpha,) = told["robots"]
-    assert set(alpha) >= {"id", "state", "position", "orientation", "covariance", "leds", "rms_px", "alternative"}
-    assert (alpha["id"], alpha["state"], len(alpha["covariance"])) == ("alpha", "TILT_AMBIGUOUS", 36)
-    assert set(alpha["alternative"]) == {"position", "orientation", "odds"}
-    everything = as_json("cam", make_golden.frame_report(), frozenset())
-    assert list(everything["lost"]) == ["bravo"]
-    lines._frame(Sample("replay/asterism/cam/frame", b"\x07"))  # type: ignore[arg-type]
-    assert "no asterism.FrameReport" in json.loads(lines.next(1.0) or "")["error"]
-    assert lines.next(0.0) is None
+def test_speeds_have_columns_where_the_server_smooths() -> None:
+    table = RobotTable()
+    tell(table, moving_report())
+    row = table.rows()[0]
+    assert (row.speed_mm_s, row.turning_deg_s) == (125.0, pytest.approx(math.degrees(0.5)))
+    for column, number in (("mm/s", "125.0"), ("°/s", "28.6"), ("tilt°", "30.0")):
+        assert column in drawn(table)
+        assert number in drawn(table)
+    plain = RobotTable()
+    tell(plain)
+    assert "/s" not in drawn(plain)
+
+
+@pytest.mark.parametrize("width", [120, 100, 80, 70, 60, 50])
+def test_speeds_give_way_on_narrow_terminals(width: int) -> None:
+    rows = [replace(row, speed_mm_s=312.5, turning_deg_s=-45.0) for row in ROWS[:1]]
+    lines = [line.plain for line in table(rows, width)]
+    assert max(map(len, lines)) <= width
+    assert ("mm/s" in lines[0], "°/s" in lines[0]) == (width >= 70, width >= 80)
+    assert "987.65" in lines[1]
+
+
+@pytest.mark.parametrize(
+    ("axis", "frame_id", "expected"), [((0, 0, 1), "world", 30.0), ((0, 0, 2), "cam", 150.0), ((0, 0, -1), "cam", 30.0)]
+)
+def test_the_tilt_is_between_the_leds_axis_and_the_vertical(
+    axis: tuple[float, ...], frame_id: str, expected: float
+) -> None:
+    """In the camera's frame, whose z points away from the camera, the vertical is the way back to it."""
+    report = moving_report()
+    report.frame_id = frame_id
+    table, rig = RobotTable(), decode_rig(encode_rig(make_golden.RIG))
+    rig.robots[0].axis.x, rig.robots[0].axis.y, rig.robots[0].axis.z = axis
+    table.servers["cam"].answers(rig, 0, 1)
+    tell(table, report)
+    assert table.rows()[0].tilt_deg == pytest.approx(expected)

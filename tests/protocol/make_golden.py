@@ -139,6 +139,17 @@ def followed_report() -> "pb.FrameReport":
     return message
 
 
+def smoothed_report() -> "pb.FrameReport":
+    """A frame of a server that smooths."""
+    message = frame_report()
+    robot = message.robots[0]
+    robot.smoothed_by = SMOOTHED_POSE.smoothed_by
+    robot.velocity.linear.x, robot.velocity.angular.z = 0.125, -0.5
+    robot.velocity.linear.SetInParent()
+    robot.velocity.covariance.extend([0.0625] * 36)
+    return message
+
+
 def status() -> "pb.Status":
     """A second of a server's life."""
     return pb.Status(
@@ -151,6 +162,15 @@ def status() -> "pb.Status":
 def beat() -> "pb.Beat":
     """A server's sign of life."""
     return pb.Beat(session=SESSION, sequence=7, time_ns=EXPOSED_NS, monotonic_ns=98_765_432_109, rate=1.0)
+
+
+def event() -> "pb.Event":
+    """A robot was lost, after it had come and gone once more than was told."""
+    return pb.Event(
+        robot="bravo", happening=pb.STATE_CHANGED, before=pb.TRACKED, state=pb.LOST, since_ns=EXPOSED_NS,
+        reason="its constellation is not among the spots", lasted_s=12.5, sequence=42, session=SESSION, number=7,
+        left_out=2, published_ns=EXPOSED_NS + 4_000_000,
+    )  # fmt: skip
 
 
 def rig_report() -> "pb.RigReport":
@@ -175,7 +195,9 @@ def golden() -> dict[str, tuple[bytes, type[Message]]]:
         "odometry_smoothed": (encode_odometry(SMOOTHED_POSE), Odometry),
         "frame_report": (to_bytes(frame_report()), pb.FrameReport),
         "frame_report_followed": (to_bytes(followed_report()), pb.FrameReport),
+        "frame_report_smoothed": (to_bytes(smoothed_report()), pb.FrameReport),
         "status": (to_bytes(status()), pb.Status),
+        "event": (to_bytes(event()), pb.Event),
         "beat": (to_bytes(beat()), pb.Beat),
         "rig_report": (to_bytes(rig_report()), pb.RigReport),
         "transforms": (encode_transforms(EXPOSED_NS, transforms), FrameTransforms),

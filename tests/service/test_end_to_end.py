@@ -223,7 +223,8 @@ def test_watch_follows_a_replay_as_lines_of_json(served: tuple[list[dict[str, An
     ):
         assert f"watch --prefix replay/ --connect {endpoint}" in wait_for_line(replaying, "watch it in another")
         assert watching.stdout is not None
-        told = json.loads(watching.stdout.readline())
+        lines = map(json.loads, iter(watching.stdout.readline, ""))
+        told = next(line for line in lines if line["type"] == "frame")
         assert "no rig here has a robot 'alhpa'; did you mean 'alpha'?" in wait_for_line(watching, "no rig")
         watching.send_signal(signal.SIGINT)
         assert watching.wait(timeout=30) == 0
@@ -315,6 +316,7 @@ def test_review_writes_a_rerun_recording(served: tuple[list[dict[str, Any]], Pat
         "/world/camera/image/spots",
         "/world/camera/image/residuals",
         "/plots/latency/solving",
+        "/events",
     } <= paths
 
 
