@@ -71,11 +71,11 @@ static bool server_ns(const asterism_clock *clock, int64_t now_ns, int64_t *time
     return true;
 }
 
-/* A stamp counts unless it lies ahead of the clock: false then. */
+/* A stamp counts unless it lies ahead of what the server answered: false then. */
 static bool arrived(asterism_clock *clock, int64_t received_ns, int64_t stamp_ns) {
     int64_t time_ns;
     clock->heard_ns = received_ns;
-    if (server_ns(clock, received_ns, &time_ns) && !clock->alone && stamp_ns - time_ns > AHEAD_NS) return false;
+    if (clock->most.known && server_ns(clock, received_ns, &time_ns) && stamp_ns - time_ns > AHEAD_NS) return false;
     heard(clock, received_ns, stamp_ns);
     return true;
 }

@@ -3,7 +3,7 @@
  * Clocks of two machines have nothing in common but their pace, and that within 200 ppm. What is known of the server's
  * clock are two bounds: it had reached a stamp when the stamp arrived, and it had not passed the time that it told in
  * an answer when the question went out. Times of this board are ns of a monotonic clock that nobody sets, from 0 to
- * 2^62. One asterism_clock per camera; where two threads use it, lock it.
+ * 2^61. One asterism_clock per camera; where two threads use it, lock it.
  */
 #ifndef ASTERISM_CLOCK_H
 #define ASTERISM_CLOCK_H
@@ -36,13 +36,14 @@ typedef struct {
 typedef struct {
     uint64_t session;
     bool told;  /* the server told its session: poses of another are refused */
-    bool alone; /* set it where nobody asks the server for its clock: ages rest on the least delay alone */
+    bool alone; /* until the server answered, ages rest on the least delay that was seen */
     asterism_bound least, most;
     int64_t exposed_ns; /* of the newest pose; 0: none yet */
     int64_t heard_ns;   /* when something of the server came last; 0: nothing yet */
 } asterism_clock;
 
-/* Nothing is known. */
+/* Nothing is known. `alone`: ages are told without an answer of the server too, where nobody asks it, or where its answer
+ * may not come. They are right once something has come without waiting on its way, and too fresh before. */
 void asterism_clock_start(asterism_clock *clock, bool alone);
 
 /* A beat arrived. */

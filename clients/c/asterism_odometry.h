@@ -12,7 +12,7 @@ extern "C" {
 #endif
 
 #define ASTERISM_LONGEST_NAME 128 /* bytes, of a camera or robot */
-#define ASTERISM_LONGEST_MESSAGE 2048 /* bytes of a pose with velocities and the longest names, with room to spare */
+#define ASTERISM_LONGEST_MESSAGE 1536 /* bytes: a pose with velocities and the longest names has 1300 */
 
 /* TILT_AMBIGUOUS: the position is good, the tilt may be the other of two. */
 enum { ASTERISM_TRACKED = 1, ASTERISM_TILT_AMBIGUOUS = 2 };

@@ -101,7 +101,8 @@ bool asterism_is_text(asterism_span text) {
         if (more > text.end - text.at || more < 0) return false;
         for (; more > 0; more--, text.at++) {
             if (*text.at < least || *text.at > most) return false;
-            least = 0x80, most = 0xBF;
+            least = 0x80;
+            most = 0xBF;
         }
     }
     return true;
@@ -142,28 +143,37 @@ bool asterism_whole_number(asterism_span text, uint64_t *number) {
     for (; text.at != text.end; text.at++) {
         if (!is_digit(*text.at)) return false;
         const uint64_t digit = (uint64_t)(*text.at - '0');
-        if (*number > (UINT64_MAX - digit) / 10) return false;
+        if (*number > UINT64_MAX / 10 || (*number == UINT64_MAX / 10 && digit > UINT64_MAX % 10)) return false;
         *number = 10 * *number + digit;
     }
     return true;
 }
 
-/* Digits, the first 18 of which count: returns how many there were. */
-static int digits(asterism_span *text, uint64_t *number, int *power, bool after_point) {
+/* More digits than a number of ours can hold, in what a small processor multiplies by itself. */
+#ifdef ASTERISM_FLOAT
+typedef uint32_t mantissa;
+#define FULL 100000000U
+#else
+typedef uint64_t mantissa;
+#define FULL 100000000000000000U
+#endif
+
+/* Digits, the first 18 (with floats: 9) of which count: returns how many there were. */
+static int digits(asterism_span *text, mantissa *number, int *power, bool after_point) {
     int count = 0;
     for (; text->at != text->end && is_digit(*text->at); text->at++, count++) {
-        if (*number >= 100000000000000000U) {
+        if (*number >= FULL) {
             *power += !after_point;
             continue;
         }
-        *number = 10 * *number + (uint64_t)(*text->at - '0');
+        *number = 10 * *number + (mantissa)(*text->at - '0');
         *power -= after_point;
     }
     return count;
 }
 
 static bool exponent(asterism_span *text, int *power) {
-    uint64_t size = 0;
+    mantissa size = 0;
     int left_out = 0;
     text->at++; /* the e */
     const bool below = text->at != text->end && *text->at == '-';
@@ -175,21 +185,21 @@ static bool exponent(asterism_span *text, int *power) {
 }
 
 bool asterism_real_number(asterism_span text, asterism_real *number) {
-    uint64_t mantissa = 0;
+    mantissa whole = 0;
     int power = 0;
     if (text.end - text.at > LONGEST_REAL) return false;
-    int count = digits(&text, &mantissa, &power, false);
+    int count = digits(&text, &whole, &power, false);
     if (text.at != text.end && *text.at == '.') {
         text.at++;
-        count += digits(&text, &mantissa, &power, true);
+        count += digits(&text, &whole, &power, true);
     }
     if (count == 0) return false;
     if (text.at != text.end && (*text.at == 'e' || *text.at == 'E') && !exponent(&text, &power)) return false;
     if (text.at != text.end) return false;
-    if (power < -LARGEST_POWER) mantissa = 0; /* nothing, for all that is told here */
-    if (power > LARGEST_POWER && mantissa) return false;
+    if (power < -LARGEST_POWER) whole = 0; /* nothing, for all that is told here */
+    if (power > LARGEST_POWER && whole) return false;
     asterism_real scale = 1;
-    for (int k = power < 0 ? -power : power; mantissa && k > 0; k--) scale *= 10;
-    *number = power < 0 ? (asterism_real)mantissa / scale : (asterism_real)mantissa * scale;
+    for (int k = power < 0 ? -power : power; whole && k > 0; k--) scale *= 10;
+    *number = power < 0 ? (asterism_real)whole / scale : (asterism_real)whole * scale;
     return true;
 }
