@@ -11,10 +11,11 @@ FENCE = re.compile(r"^```(?P<language>\w+)\n(?P<text>.*?)^```", re.M | re.S)
 
 
 def pages() -> list[Path]:
-    """README, the pages of docs/, the wire format, the changelog."""
+    """README, the pages of docs/, the client in C, the wire format, the changelog."""
     return [
         REPOSITORY / "README.md",
         *sorted((REPOSITORY / "docs").glob("*.md")),
+        REPOSITORY / "clients" / "c" / "README.md",
         REPOSITORY / "protocol" / "README.md",
         REPOSITORY / "CHANGELOG.md",
     ]

@@ -1,4 +1,4 @@
-"""What `mkdocs` does beside building docs/: README, CHANGELOG and the wire format become pages where they lie.
+"""What `mkdocs` does beside building docs/: README, CHANGELOG, the wire format and the client in C become pages where they lie.
 
 Each is written once, in the place where people look for it in the repository. Here its links are turned into links
 between pages; files that are no pages but are linked to come along.
@@ -14,7 +14,12 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 REPOSITORY = Path(__file__).parent.parent.parent
-PAGES = {"README.md": "index.md", "CHANGELOG.md": "changelog.md", "protocol/README.md": "wire.md"}
+PAGES = {
+    "README.md": "index.md",
+    "CHANGELOG.md": "changelog.md",
+    "protocol/README.md": "wire.md",
+    "clients/c/README.md": "c.md",
+}
 LINK = re.compile(r"(\]\()([^)#\s]+)((?:#[^)\s]*)?\))")
 
 
