@@ -17,6 +17,7 @@ MODULES = {
     "prometheus_client": ("prometheus-client", "metrics"),
     "rosbags": ("rosbags", "ros"),
     "rerun": ("rerun-sdk", "review"),
+    "foxglove": ("foxglove-sdk", "foxglove"),
     "foxglove_schemas_protobuf": ("foxglove-schemas-protobuf", ""),
     "google": ("protobuf", ""),
     "msgspec": ("msgspec", ""),
