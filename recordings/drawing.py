@@ -64,8 +64,12 @@ class Drawing:
 
     def image(self, image: NDArray[np.uint8], time_ns: int, sequence: int) -> None:
         """Show an (h, w) frame."""
+        self.encoded(png(image), "image/png", time_ns, sequence)
+
+    def encoded(self, contents: bytes, media_type: str, time_ns: int, sequence: int) -> None:
+        """Show a frame that is encoded already, as PNG or JPEG."""
         self._at(time_ns, sequence)
-        self._stream.log("world/camera/image", rr.EncodedImage(contents=png(image), media_type="image/png"))
+        self._stream.log("world/camera/image", rr.EncodedImage(contents=contents, media_type=media_type))
 
     def report(self, report: "pb.FrameReport") -> None:
         """Show what one frame told, but for robots that the rig does not have: one that was in force later may."""

@@ -1,4 +1,7 @@
-"""What recordings hold beside the published messages, for programs that draw: calibration, transforms, annotations."""
+"""What programs that draw get beside the published messages: calibration, transforms, annotations.
+
+Recordings hold them, and live views are told them.
+"""
 
 import numpy as np
 
@@ -13,13 +16,13 @@ from asterism.protocol.rig import Rig
 _UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 
-def first_messages(rig: Rig) -> list[Message]:
+def first_messages(rig: Rig, time_ns: int = 0) -> list[Message]:
     """What every poses file begins with: the calibration, and where the camera stands."""
-    name = rig.camera.name
-    first = [Message(keys.calibration(name), CALIBRATION, encode_calibration(0, rig.camera), 0, 0, 0)]
+    name, times = rig.camera.name, (time_ns, time_ns, 0)
+    first = [Message(keys.calibration(name), CALIBRATION, encode_calibration(time_ns, rig.camera), *times)]
     if rig.T_world_camera is not None:
-        payload = encode_transforms(0, [("world", name, rig.T_world_camera)])
-        first.append(Message(keys.TRANSFORMS, TRANSFORMS, payload, 0, 0, 0))
+        payload = encode_transforms(time_ns, [("world", name, rig.T_world_camera)])
+        first.append(Message(keys.TRANSFORMS, TRANSFORMS, payload, *times))
     return first
 
 

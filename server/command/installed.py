@@ -19,6 +19,7 @@ MODULES = {
     "rosbags": ("rosbags", "ros"),
     "cyclonedds": ("cyclonedds", "dds"),
     "rerun": ("rerun-sdk", "review"),
+    "foxglove": ("foxglove-sdk", "foxglove"),
     "foxglove_schemas_protobuf": ("foxglove-schemas-protobuf", ""),
     "google": ("protobuf", ""),
     "msgspec": ("msgspec", ""),

@@ -11,6 +11,7 @@ from asterism.protocol.ros2 import names
 from asterism.protocol.ros2.node import Node
 from asterism.protocol.ros2.wire import owned_keys
 from asterism.protocol.yaml_file import describe
+from asterism.server.command.number_arguments import port
 from asterism.server.command.shared_arguments import add_ros_domain
 from asterism.server.service.on_air import OnAir
 from asterism.server.service.outlets import Outlet
@@ -18,6 +19,9 @@ from asterism.server.sources.foreign.ros_images import is_ros
 
 if TYPE_CHECKING:
     from asterism.server.service.mavlink.endpoint import Endpoint
+
+WEB_PORT = 9090  # rerun's own
+FOXGLOVE_PORT = 8765  # what Foxglove and PlotJuggler propose
 
 
 def add_outlets(part: argparse.ArgumentParser) -> None:
@@ -42,6 +46,22 @@ def add_outlets(part: argparse.ArgumentParser) -> None:
         type=_natnet_address,
         const=("127.0.0.1", 1510),
         help="answer programs that read OptiTrack's Motive, there (default: 127.0.0.1:1510)",
+    )
+    part.add_argument(
+        "--web",
+        metavar="PORT",
+        type=port,
+        nargs="?",
+        const=WEB_PORT,
+        help=f"the same in a browser, at http://127.0.0.1:PORT (default: {WEB_PORT}; uses PORT + 1 too)",
+    )
+    part.add_argument(
+        "--foxglove",
+        metavar="PORT",
+        type=port,
+        nargs="?",
+        const=FOXGLOVE_PORT,
+        help=f"for Foxglove and PlotJuggler, at ws://127.0.0.1:PORT (default: {FOXGLOVE_PORT})",
     )
 
 
@@ -123,10 +143,11 @@ def open_outlets(options: argparse.Namespace, rig: Rig, air: OnAir, stack: ExitS
         stack.callback(outlet.close)
         opened.append(outlet)
 
-    if options.rerun:
+    if options.rerun or options.web is not None:
         from asterism.server.service.live_view import LiveView
 
-        add(LiveView(rig))
+        for words in [()] * options.rerun + [(str(options.web),)] * (options.web is not None):
+            add(LiveView(rig, *words))
     if (place := ros_place(options, rig)) is not None:
         _open_ros(options, place, rig, air, add)
     if options.mavlink:
@@ -137,4 +158,8 @@ def open_outlets(options: argparse.Namespace, rig: Rig, air: OnAir, stack: ExitS
         from asterism.server.service.natnet.outlet import NatNet
 
         add(NatNet(rig, *options.natnet))
+    if options.foxglove is not None:
+        from asterism.server.service.foxglove_outlet import FoxgloveOutlet
+
+        add(FoxgloveOutlet(rig, options.foxglove))
     return tuple(opened)

@@ -1,56 +1,57 @@
-"""The rerun viewer beside a running server: the same drawing as a review, fed from a thread of its own.
+"""The rerun viewer beside a running server, fed by a process of its own that draws (`drawer`).
 
-The newest frame wins here as well: a viewer that is slow loses frames, never the chain its time.
+Drawing takes rerun's library, its memory and 10 ms a frame: none of it is the server's. The newest frame wins here as
+well: a viewer that is slow loses frames, never the chain its time.
 """
 
 import contextlib
+import importlib.util
 import os
-import shutil
-import signal
-import socket
+import pickle
 import subprocess
 import sys
-from pathlib import Path
+import time
 
-import rerun as rr
-
-from asterism.protocol.codec import decode_frame_report
-from asterism.protocol.errors import WorldError
+from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.messages import FRAME_REPORT, Message
 from asterism.protocol.rig import Rig
-from asterism.recordings.drawing import APPLICATION, Drawing
-from asterism.recordings.layout import blueprint
 from asterism.server.chain.frame import Frame
-from asterism.server.service.say import say
+from asterism.server.service.bound_process import end, start
+from asterism.server.service.live_image import SHOWN_HZ
+from asterism.server.service.pictures import Opened, Picture
+from asterism.server.service.say import complain, say
 from asterism.server.service.threads import Newest
+
+ENDS_S = 3.0  # a viewer that does not let go is ended after that
 
 
 class LiveView:
-    """Starts the viewer on loopback (without a display: its server, for a viewer to connect to). A context manager."""
+    """Shows frames in a viewer. A context manager.
 
-    def __init__(self, rig: Rig) -> None:
-        program = shutil.which("rerun", path=f"{Path(sys.executable).parent}:{os.environ.get('PATH', '')}")
-        if program is None:
-            raise WorldError("the rerun viewer is not installed; pip install 'asterism-localization[review]'")
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
-        has_display = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-        command = [program, "--bind", "127.0.0.1", "--port", str(port)]
-        self._viewer = subprocess.Popen(
-            command if has_display else [*command, "--serve-grpc"],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C ends the server, not what it has shown
-        )
-        url = f"rerun+http://127.0.0.1:{port}/proxy"
-        if not has_display:
-            say(f"no display for the viewer; connect one with: rerun {url}")
-        self._stream = rr.RecordingStream(APPLICATION)
-        self._stream.connect_grpc(url, default_blueprint=blueprint(rig))
+    ``words`` are the drawing process': none for the viewer's window (without a display its server, for a viewer to
+    connect to), a port for a page in browsers. Raises InputError for a port that cannot be had, ModuleNotFoundError
+    where rerun is not installed, WorldError where the viewer does not start.
+    """
+
+    def __init__(self, rig: Rig, *words: str) -> None:
+        if importlib.util.find_spec("rerun") is None:
+            raise ModuleNotFoundError("No module named 'rerun'", name="rerun")
+        self._process = start([sys.executable, "-m", "asterism.server.service.drawer", *words], pipes=True)
+        self._ended = False
+        try:
+            self._hand_over(rig)
+            _say_where(self._process)
+        except BaseException:
+            end(self._process)
+            _close_pipes(self._process)
+            raise
         self._rig = self._drawn = rig
-        self._drawing = Drawing(self._stream, rig)
         self._shown = Newest(self._show, "live-view")
+
+    @property
+    def pid(self) -> int:
+        """Of the drawing process."""
+        return self._process.pid
 
     def take_rig(self, rig: Rig) -> None:
         """Another rig is in force for the frames from now on."""
@@ -64,14 +65,17 @@ class LiveView:
         """Its views have no place for it."""
 
     def close(self) -> None:
-        """Stop showing; the viewer's window stays until it is closed."""
-        self._shown.close()
-        self._stream.disconnect()
-        if self._viewer.args[-1] == "--serve-grpc":  # type: ignore[index]
-            # The program on the path only starts the viewer proper.
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(self._viewer.pid, signal.SIGTERM)
-            self._viewer.wait()
+        """Stop showing; a window stays until it is closed."""
+        self._shown.close(1.0 / SHOWN_HZ)
+        if self._shown.busy:  # the viewer takes nothing
+            end(self._process)
+            self._shown.close()
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(ENDS_S)
+        end(self._process)
+        _close_pipes(self._process)
 
     def __enter__(self) -> "LiveView":
         return self
@@ -80,10 +84,44 @@ class LiveView:
         self.close()
 
     def _show(self, shown: tuple[list[Message], Frame, Rig]) -> None:
-        messages, frame, rig = shown
-        if rig is not self._drawn:
-            self._drawn, self._drawing = rig, self._drawing.replaced_by(rig)
-        self._drawing.image(frame.image, frame.exposed_ns, frame.index)
-        for message in messages:
-            if message.kind == FRAME_REPORT:
-                self._drawing.report(decode_frame_report(message.payload))
+        began, (messages, frame, rig) = time.monotonic(), shown
+        if self._ended:
+            return
+        try:
+            if rig is not self._drawn:
+                self._hand_over(rig)
+                self._drawn = rig
+            for message in messages:
+                if message.kind == FRAME_REPORT:
+                    self._hand_over(Picture(frame.image, frame.exposed_ns, frame.index, message.payload))
+        except OSError:
+            self._ended = True
+            complain("the viewer has ended; serving goes on without it")
+        time.sleep(max(began + 1.0 / SHOWN_HZ - time.monotonic(), 0.0))
+
+    def _hand_over(self, value: Rig | Picture) -> None:
+        assert self._process.stdin is not None
+        data = pickle.dumps(value, pickle.HIGHEST_PROTOCOL)
+        left = memoryview(len(data).to_bytes(8, "little") + data)
+        while left:
+            left = left[os.write(self._process.stdin.fileno(), left) :]
+
+
+def _say_where(process: subprocess.Popen[bytes]) -> None:
+    assert process.stdout is not None
+    try:
+        opened = pickle.load(process.stdout)
+    except EOFError:
+        opened = Opened(problem="the viewer did not start")
+    if opened.wrong_input:
+        raise InputError(opened.wrong_input)
+    if opened.problem:
+        raise WorldError(opened.problem)
+    if opened.where:
+        say(opened.where)
+
+
+def _close_pipes(process: subprocess.Popen[bytes]) -> None:
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            pipe.close()

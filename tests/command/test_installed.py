@@ -24,16 +24,8 @@ def test_every_module_is_in_the_extra_that_is_named() -> None:
     for module, (distribution, extra) in MODULES.items():
         assert distribution in distributions(extras[extra]), module
     named = {distribution for distribution, _ in MODULES.values()}
-    wanted = distributions(
-        [
-            *PROJECT["dependencies"],
-            *extras["server"],
-            *extras["review"],
-            *extras["metrics"],
-            *extras["ros"],
-            *extras["dds"],
-        ]
-    )
+    imported = ("server", "review", "metrics", "ros", "dds", "foxglove")
+    wanted = distributions([*PROJECT["dependencies"], *(each for extra in imported for each in extras[extra])])
     assert wanted == named
 
 
