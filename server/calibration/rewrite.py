@@ -45,16 +45,17 @@ def without(text: str, key: str) -> str:
 
 def annotate(text: str, path: tuple[str, ...], tag: str, comments: Sequence[str]) -> str:
     """The YAML ``text`` with a line ``# tag: comment`` for each above the key at ``path``, in place of those with the
-    same tag that stand there.
+    same tag among the comments that stand there.
     """
     mapping = _find(_compose(text), path[:-1])
     line = next(key.start_mark.line for key, _ in mapping.value if key.value == path[-1])
     lines = text.splitlines(keepends=True)
     first = line
-    while first > 0 and lines[first - 1].lstrip().startswith(f"# {tag}: "):
+    while first > 0 and lines[first - 1].lstrip().startswith("#"):
         first -= 1
+    others = [each for each in lines[first:line] if not each.lstrip().startswith(f"# {tag}: ")]
     indent = lines[line][: len(lines[line]) - len(lines[line].lstrip())]
-    return "".join([*lines[:first], *(f"{indent}# {tag}: {comment}\n" for comment in comments), *lines[line:]])
+    return "".join([*lines[:first], *others, *(f"{indent}# {tag}: {comment}\n" for comment in comments), *lines[line:]])
 
 
 def relocate(text: str, old: Path, new: Path) -> str:

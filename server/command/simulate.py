@@ -1,6 +1,7 @@
 """asterism simulate: frames of simulated robots, with truth."""
 
 import argparse
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import cv2
 import msgspec
 
 from asterism.protocol.errors import InputError
+from asterism.protocol.geometry import Pose
 from asterism.protocol.rig import Rig, load_rig
 from asterism.protocol.yaml_file import parse_yaml
 from asterism.server.chain.kernel_list import SIMULATE
@@ -17,7 +19,7 @@ from asterism.server.command.number_arguments import count, positive, share, who
 from asterism.server.command.progress import progress
 from asterism.server.command.shared_arguments import add_force, named
 from asterism.server.output import check_folder, new_folder
-from asterism.server.simulation.hand_film import hand_pose
+from asterism.server.simulation.hand_film import hand_pose, pivot_pose
 from asterism.server.simulation.simulate import Look, Scene, Truth
 from asterism.server.sources.source import DEFAULT_RATE_HZ
 
@@ -25,6 +27,7 @@ EXAMPLES = (
     "asterism simulate rig.yaml out --frames 300\n"
     "asterism simulate rig.yaml out --hide 0.05 --glints 10 --seed 3\n"
     "asterism simulate rig.yaml film --hand alpha --frames 300\n"
+    "asterism simulate rig.yaml pivot --pivot alpha:tool --frames 100\n"
 )
 
 
@@ -39,8 +42,12 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     part.add_argument(
         "--hide", metavar="P", type=share, default=0.0, help="probability that an LED is hidden (default: 0)"
     )
-    part.add_argument(
+    shown = part.add_mutually_exclusive_group()
+    shown.add_argument(
         "--hand", metavar="ROBOT", help="this robot alone, shown by hand from all sides: a film to calibrate with"
+    )
+    shown.add_argument(
+        "--pivot", metavar="ROBOT:POINT", help="this robot alone, tilted about a point of it that rests at one place"
     )
     part.add_argument("--glints", metavar="N", type=whole, default=0, help="glints a frame (default: 0)")
 
@@ -52,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
     rig = load_rig(options.rig)
     files = _files(Path(options.rig), rig)
     rate = options.rate or rig.capture.rate_hz or DEFAULT_RATE_HZ
-    shown = rig if options.hand is None else _alone(rig, options.hand)
+    shown, pose_of = _shown(rig, options)
     warm_up(SIMULATE)
     scene = Scene(shown, options.seed, Look(hidden=options.hide, glints=options.glints))
     encoder = msgspec.json.Encoder()
@@ -67,9 +74,8 @@ def run(options: argparse.Namespace) -> int:
         with (made.path / "truth.jsonl").open("wb") as truth_file:
             for index in progress(range(options.frames), options.frames, "simulating"):
                 truth = scene.truth(index, index / rate)
-                if options.hand is not None:
-                    pose = hand_pose(rig, shown.robots[0], index, options.frames, options.seed)
-                    truth = [replace(truth[0], T_camera_robot=pose)]
+                if pose_of is not None:
+                    truth = [replace(truth[0], T_camera_robot=pose_of(index))]
                 name = f"{index:05d}.png"
                 _, png = cv2.imencode(".png", scene.render(index, truth))
                 (frames / name).write_bytes(png.tobytes())
@@ -92,11 +98,27 @@ def _truth_line(entry: Truth, rig: Rig) -> dict[str, Any]:
     }
 
 
-def _alone(rig: Rig, robot: str) -> Rig:
+def _shown(rig: Rig, options: argparse.Namespace) -> tuple[Rig, Callable[[int], Pose] | None]:
+    """The rig that is filmed, and T_camera_robot of its one robot by the frame's number, where a hand moves it."""
+    if options.hand is not None:
+        alone = _alone(rig, options.hand, f"--hand {options.hand}")
+        return alone, lambda index: hand_pose(rig, alone.robots[0], index, options.frames, options.seed)
+    if options.pivot is not None:
+        robot, _, point = options.pivot.rpartition(":")
+        alone = _alone(rig, robot, f"--pivot {options.pivot}")
+        points = alone.robots[0].points
+        if point not in points:
+            known = f"one of {', '.join(points)}" if points else f"the rig to give {robot} `points`"
+            raise InputError(f"--pivot {options.pivot}: {robot} has no point {point!r}, expected {known}")
+        return alone, lambda index: pivot_pose(rig, alone.robots[0], point, index, options.frames, options.seed)
+    return rig, None
+
+
+def _alone(rig: Rig, robot: str, argument: str) -> Rig:
     """The rig with that robot only. Raises InputError if it is not there."""
     ids = [each.id for each in rig.robots]
     if robot not in ids:
-        raise InputError(f"--hand {robot}: is not in the rig, expected one of {', '.join(ids)}")
+        raise InputError(f"{argument}: {robot!r} is not in the rig, expected one of {', '.join(ids)}")
     return replace(rig, robots=(rig.robot(robot),))
 
 

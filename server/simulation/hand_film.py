@@ -9,6 +9,8 @@ from asterism.protocol.rig import Rig, Robot
 
 DEPTHS_M = (0.8, 1.5)  # where the rig gives no range
 TILT = math.radians(36.0)  # about both axes, so up to 47 degrees
+PIVOT_TILT = math.radians(30.0)  # at most
+PIVOT_SPIN = math.radians(40.0)  # about the plate's normal
 
 
 def hand_pose(rig: Rig, robot: Robot, index: int, count: int, seed: int) -> Pose:
@@ -24,6 +26,24 @@ def hand_pose(rig: Rig, robot: Robot, index: int, count: int, seed: int) -> Pose
     turn = exp_rotation(np.array([tilt_x, 0.0, 0.0])) @ exp_rotation(np.array([0.0, tilt_y, 0.0]))
     facing = turn @ np.diag([1.0, -1.0, -1.0]) @ exp_rotation(np.array([0.0, 0.0, start[5] + 4.0 * s]))
     return Pose.from_matrix(facing, position) @ robot.T_robot_plane.inverse()
+
+
+def pivot_pose(rig: Rig, robot: Robot, point: str, index: int, count: int, seed: int, spin: float = PIVOT_SPIN) -> Pose:
+    """T_camera_robot in frame ``index`` of ``count`` of a robot that rests with a named point at one place before the
+    camera and is tilted about it, by up to PIVOT_TILT from facing the camera, to all sides; and turned about its
+    plate's normal by up to ``spin`` rad to each side.
+    """
+    start = np.random.default_rng([seed, 7]).uniform(0.0, 2.0 * math.pi, 5)
+    s = 2.0 * math.pi * index / count
+    near, far = rig.range_m or DEPTHS_M
+    place = 0.5 * (near + far) * _ray(rig, 0.3 * math.sin(start[0]), 0.3 * math.sin(start[1]), robot.extent / near)
+    tilt = PIVOT_TILT * math.sin(4.0 * s + start[2])
+    lean = 3.0 * s + start[3]
+    turn = exp_rotation(tilt * np.array([math.cos(lean), math.sin(lean), 0.0]))
+    heading = start[4] + spin * math.sin(5.0 * s)
+    facing = turn @ np.diag([1.0, -1.0, -1.0]) @ exp_rotation(np.array([0.0, 0.0, heading]))
+    rotation = facing @ robot.T_robot_plane.rotation.T
+    return Pose.from_matrix(rotation, place - rotation @ robot.points[point])
 
 
 def _ray(rig: Rig, across: float, down: float, extent: float) -> Floats:
