@@ -1,4 +1,4 @@
-"""What `mkdocs` does beside building docs/: README, CHANGELOG, the wire format and the client in C become pages where they lie.
+"""What `mkdocs` does beside building docs/: README, CHANGELOG, wire format and client in C become pages where they lie.
 
 Each is written once, in the place where people look for it in the repository. Here its links are turned into links
 between pages; files that are no pages but are linked to come along.

@@ -81,7 +81,8 @@ def test_a_viewer_that_takes_nothing_holds_up_nobody_and_ends(rig: Rig, told: li
             processes = family(view.pid)
         assert {address for address, _ in listening(processes)} <= LOOPBACK
         os.kill(view.pid, signal.SIGSTOP)
-        assert (pipe := view._process.stdin) is not None
+        pipe = view._process.stdin
+        assert pipe is not None
         while waiting(pipe.fileno()) < PIPE:
             view.write(*told[0])
     wait_until_gone(processes)
