@@ -243,7 +243,7 @@ def test_what_the_processes_leave_undone_is_done_here(terminal: io.StringIO, mon
 
 
 NEEDY = ["demo", "doctor", "serve", "locate", "replay", "simulate", "check", "design", "report"] + [
-    f"calibrate_{kind}" for kind in ("camera", "world", "leds", "offset", "z")
+    f"calibrate_{kind}" for kind in ("camera", "world", "leds", "offset", "point", "z")
 ]
 
 

@@ -31,7 +31,7 @@ def test_the_file_is_that_of_the_commands() -> None:
     ("words", "offered"),
     [
         (["lo"], ["locate"]),
-        (["re"], ["reload", "replay", "review", "recover", "report"]),
+        (["re"], ["reload", "record", "replay", "review", "recover", "report"]),
         (["calibrate", "w"], ["world"]),
         (["locate", "--ind"], ["--independent"]),
         (["calibrate", "camera", "boards/", "--mo"], ["--model"]),
@@ -51,7 +51,7 @@ def test_tab_offers(words: list[str], offered: list[str]) -> None:
 
 def test_every_command_is_offered() -> None:
     assert {"demo", "serve", "calibrate"} <= set(completed(""))
-    assert {"camera", "leds", "world", "offset", "z"} <= set(completed("calibrate", ""))
+    assert {"camera", "leds", "world", "offset", "point", "z"} <= set(completed("calibrate", ""))
 
 
 def test_it_is_installed_where_bash_looks_for_it() -> None:
