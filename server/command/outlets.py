@@ -11,6 +11,7 @@ from asterism.protocol.yaml_file import describe
 from asterism.server.command.shared_arguments import add_ros_domain
 from asterism.server.service.on_air import OnAir
 from asterism.server.service.outlets import Outlet
+from asterism.server.service.say import say
 from asterism.server.sources.foreign.ros_images import is_ros
 
 
@@ -70,5 +71,7 @@ def open_outlets(options: argparse.Namespace, rig: Rig, air: OnAir, stack: ExitS
     if (place := ros_place(options, rig)) is not None:
         from asterism.server.service.ros2.outlet import Ros2
 
-        add(Ros2(air.session, rig, place, air.publisher.clock))
+        outlet = Ros2(air.session, rig, place, air.publisher.clock)
+        add(outlet)
+        say(f"ROS 2, domain {place.domain}: node {outlet.node}, topics {place.namespace}/ROBOT/pose and odom")
     return tuple(opened)
