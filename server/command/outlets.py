@@ -15,6 +15,7 @@ from asterism.server.command.number_arguments import port
 from asterism.server.command.shared_arguments import add_ros_domain
 from asterism.server.service.on_air import OnAir
 from asterism.server.service.outlets import Outlet
+from asterism.server.service.say import say
 from asterism.server.sources.foreign.ros_images import is_ros
 
 if TYPE_CHECKING:
@@ -122,17 +123,19 @@ def _natnet_address(text: str) -> tuple[str, int]:
 def _open_ros(
     options: argparse.Namespace, place: names.RosPlace, rig: Rig, air: OnAir, add: Callable[[Outlet], None]
 ) -> None:
+    from asterism.server.service.aside import Aside
     from asterism.server.service.ros2.outlet import Ros2
 
     clock = air.publisher.clock
     if options.ros2:
-        node = Node(air.session, place, names.node_name(rig.camera.name))
-        add(Ros2(node, rig, place.namespace, clock))
+        name = names.node_name(rig.camera.name)
+        add(Aside(Ros2(Node(air.session, place, name), rig, place.namespace, clock), rig, "ROS 2"))
+        topics = f"topics {place.namespace}/ROBOT/pose and odom"
+        say(f"ROS 2, domain {place.domain}: node {place.namespace}/{name}, {topics}")
     if options.dds:
-        from asterism.server.service.aside import Aside
         from asterism.server.service.dds.node import DdsNode
 
-        add(Aside(Ros2(DdsNode(place.domain), rig, place.namespace, clock), "DDS"))
+        add(Aside(Ros2(DdsNode(place.domain), rig, place.namespace, clock), rig, "DDS"))
 
 
 def open_outlets(options: argparse.Namespace, rig: Rig, air: OnAir, stack: ExitStack) -> tuple[Outlet, ...]:

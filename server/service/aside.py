@@ -1,7 +1,6 @@
 """An outlet in a thread of its own: what it takes is taken from the chain no more than handing it over."""
 
 from collections.abc import Callable
-from functools import partial
 
 from asterism.protocol.messages import Message
 from asterism.protocol.rig import Rig
@@ -12,26 +11,27 @@ from asterism.server.service.say import say
 
 
 class Aside:
-    """Hands everything on to ``outlet``, in order; where it does not keep up, the oldest of ``most`` is dropped, which
-    is said in the end.
+    """Hands everything on to ``outlet``, which was made for ``rig``, in order; where it does not keep up, the oldest of
+    ``most`` is dropped, which is said in the end.
     """
 
-    def __init__(self, outlet: Outlet, name: str, most: int = 10) -> None:
+    def __init__(self, outlet: Outlet, rig: Rig, name: str, most: int = 10) -> None:
         self._outlet = outlet
+        self._rig = self._taken = rig
         self._name = name
-        self._backlog: Backlog[Callable[[], None]] = Backlog(lambda call: call(), name, most)
+        self._backlog: Backlog[tuple[Callable[[], None], Rig]] = Backlog(self._hand_on, name, most)
 
     def write(self, messages: list[Message], frame: Frame) -> None:
         """When it is this frame's turn."""
-        self._backlog.give(partial(self._outlet.write, messages, frame))
+        self._backlog.give((lambda: self._outlet.write(messages, frame), self._rig))
 
     def status(self, messages: list[Message]) -> None:
         """When it is its turn."""
-        self._backlog.give(partial(self._outlet.status, messages))
+        self._backlog.give((lambda: self._outlet.status(messages), self._rig))
 
     def take_rig(self, rig: Rig) -> None:
-        """For the frames that come after it."""
-        self._backlog.give(partial(self._outlet.take_rig, rig))
+        """With what comes after it."""
+        self._rig = rig
 
     def close(self) -> None:
         """When what waits is handed on."""
@@ -39,3 +39,10 @@ class Aside:
         self._outlet.close()
         if self._backlog.dropped:
             say(f"{self._name} did not keep up: {self._backlog.dropped} frames or messages were left out")
+
+    def _hand_on(self, waited: tuple[Callable[[], None], Rig]) -> None:
+        call, rig = waited
+        if rig is not self._taken:
+            self._taken = rig
+            self._outlet.take_rig(rig)
+        call()

@@ -14,10 +14,10 @@ class Backlog(Generic[T]):
     """Calls a function with everything it is given, in order, from a thread of its own.
 
     Whoever gives is never held up: where more than ``most`` values wait, the oldest is dropped and counted in
-    ``dropped``.
+    ``dropped``. With one, the newest wins.
     """
 
-    def __init__(self, call: Callable[[T], None], name: str, most: int) -> None:
+    def __init__(self, call: Callable[[T], None], name: str, most: int = 1) -> None:
         self._call = call
         self._name = name
         self.dropped = 0
@@ -34,10 +34,19 @@ class Backlog(Generic[T]):
             self._waiting.append(value)
             self._ready.notify()
 
-    def close(self, timeout_s: float = 5.0) -> None:
-        """Hand on what waits, and no more; a call that does not return within that time is left behind."""
+    @property
+    def busy(self) -> bool:
+        """Whether its thread has not ended: of one that is closed, that a call does not return."""
+        return self._thread.is_alive()
+
+    def close(self, timeout_s: float = 5.0, rest: bool = True) -> None:
+        """Hand on what waits, unless nobody wants the ``rest``, and no more; a call that does not return within that
+        time is left behind.
+        """
         with self._ready:
             self._closed = True
+            if not rest:
+                self._waiting.clear()
             self._ready.notify()
         self._thread.join(timeout_s)
 

@@ -1,16 +1,13 @@
-"""Threads around the chain: the newest frame of a camera, the next frames of a file, the newest value for a viewer."""
+"""Threads around the chain: the newest frame of a camera, the next frames of a file."""
 
 import logging
 import queue
 import threading
-from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Generic, TypeVar
 
 from asterism.server.chain.frame import Frame
 
 _LOG = logging.getLogger(__name__)
-T = TypeVar("T")
 
 AHEAD = 3  # frames of a file that are decoded before they are needed
 
@@ -109,48 +106,3 @@ class Ticker:
                 self._call()
             except Exception:  # a fault of the program must not end what others take for a sign of life
                 _LOG.exception("what is done every %g s failed; it is tried again", self._every_s)
-
-
-class Newest(Generic[T]):
-    """Calls a function with what it was given last, from a thread of its own: who is slow misses values, and holds up
-    nobody. ``kept``: so many values wait for it, the oldest first.
-    """
-
-    def __init__(self, call: Callable[[T], None], name: str, kept: int = 1) -> None:
-        self._call = call
-        self._name = name
-        self._ready = threading.Condition()
-        self._values: deque[T] = deque(maxlen=kept)
-        self._closed = False
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._thread.start()
-
-    def give(self, value: T) -> None:
-        """To be handed on when the function is done with the one before, unless a newer one comes until then."""
-        with self._ready:
-            self._values.append(value)
-            self._ready.notify()
-
-    @property
-    def busy(self) -> bool:
-        """Whether its thread has not ended: of one that is closed, that a call does not return."""
-        return self._thread.is_alive()
-
-    def close(self, timeout_s: float = 5.0) -> None:
-        """Hand nothing on any more; a call that does not return within that time is left behind."""
-        with self._ready:
-            self._closed = True
-            self._ready.notify()
-        self._thread.join(timeout_s)
-
-    def _run(self) -> None:
-        while True:
-            with self._ready:
-                self._ready.wait_for(lambda: self._values or self._closed)
-                if self._closed:
-                    return
-                value = self._values.popleft()
-            try:
-                self._call(value)
-            except Exception:  # a viewer's fault must not end what shows the next frame
-                _LOG.exception("%s failed; it goes on with the next", self._name)

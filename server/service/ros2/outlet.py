@@ -1,7 +1,7 @@
 """Poses, transforms and health for nodes of ROS 2.
 
 `<ns>/<robot>/pose` and `<ns>/<robot>/odom` of every robot of the rig, `/tf`, `/tf_static`, `/diagnostics`. What is told
-of a frame goes out at once, from the chain's own thread: it takes less than handing it to another.
+of a frame goes out at once, from the thread that calls: decoding and encoding it takes some 0.1 ms.
 """
 
 from typing import NamedTuple, Protocol
@@ -52,7 +52,7 @@ class Ros2:
     """
 
     def __init__(self, node: RosNode, rig: Rig, namespace: str, clock: Clock) -> None:
-        self._rig, self._namespace, self._clock = rig, namespace, clock
+        self._rig, self.namespace, self._clock = rig, namespace, clock
         self._node = node
         self._robots = {robot.id: self._publishers_of(robot.id) for robot in rig.robots}
         self._tf = self._node.publisher(names.TF, types.TF_MESSAGE, _TF, newest_only=True)
@@ -116,6 +116,6 @@ class Ros2:
             return self._node.publisher(topic, kind, Quality(), newest_only=True)
 
         return _Robot(
-            publisher(names.pose_topic(self._namespace, robot), types.POSE_WITH_COVARIANCE_STAMPED),
-            publisher(names.odom_topic(self._namespace, robot), types.ODOMETRY),
+            publisher(names.pose_topic(self.namespace, robot), types.POSE_WITH_COVARIANCE_STAMPED),
+            publisher(names.odom_topic(self.namespace, robot), types.ODOMETRY),
         )

@@ -71,7 +71,7 @@ class RoslessNode:
 def main() -> None:
     domain, count = int(sys.argv[1]), int(sys.argv[2])
     node = DdsNode(domain)
-    outlet = Aside(Ros2(node, RIG, NAMESPACE, SessionClock()), "DDS")
+    outlet = Aside(Ros2(node, RIG, NAMESPACE, SessionClock()), RIG, "DDS")
     listener = RoslessNode(domain)
     until(lambda: min(node.readers().values()) > 0)
     for sent, told in enumerate(poses(count), start=1):

@@ -13,7 +13,7 @@ from asterism.server.__main__ import main
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.clients.serving import until
 from tests.protocol.ros2.ros_store import STORE
-from tests.servers import free_endpoint, running, wait_for_line
+from tests.servers import TIMEOUT_S, free_endpoint, running, wait_for_line
 from tests.service.ros2.independent import SdkNode, need_sdk
 
 DOMAIN, TOPIC, FRAMES = 3, "/front/image_raw", 3
@@ -60,7 +60,7 @@ def test_from_a_cameras_node_to_a_robots(tmp_path: Path) -> None:
         odom = {f"/lab/{robot.id}/odom": types.ODOMETRY for robot in rig.robots}
         node = SdkNode(endpoint, DOMAIN, {**odom, "/tf_static": types.TF_MESSAGE}, late=("/tf_static",))
         camera = SdkCamera(endpoint, tmp_path / "sim" / "frames", 1.01 * rig.camera.focal_px)
-        until(lambda: camera.take() and min(node.counts()[topic] for topic in odom) >= FRAMES)
+        until(lambda: camera.take() and min(node.counts()[topic] for topic in odom) >= FRAMES, TIMEOUT_S)
         told = wait_for_line(server, "camera_info: its calibration is not the rig's")
         camera.close()
         received = node.finish()["received"]
