@@ -48,6 +48,11 @@ def test_robots(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert f"--ros2: the robot's id 'bravo-2' is no name for ROS, {RULE}; it becomes part of its topics" in told
 
 
+def test_topics_that_are_too_long(capsys: pytest.CaptureFixture[str]) -> None:
+    told = refusal(capsys, "serve", DEMO_RIG, "sim", "--ros2", "--ros-namespace", "n" * 240)
+    assert "/alpha/odom has 252 characters, expected at most 247" in told
+
+
 def test_options_of_ros_without_ros(capsys: pytest.CaptureFixture[str]) -> None:
     assert "add --ros2" in refusal(capsys, "serve", DEMO_RIG, "sim", "--ros-namespace", "lab")
     assert "add --ros2 or --dds, or take images from it: ros2:TOPIC" in refusal(

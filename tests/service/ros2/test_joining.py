@@ -3,17 +3,24 @@
 import contextlib
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import zenoh
 import zenoh.ext
 
+from asterism.clients import LinkState, PoseClient
+from asterism.protocol import keys
+from asterism.protocol.codec import encode_odometry
+from asterism.protocol.messages import ODOMETRY as ODOMETRY_KIND
+from asterism.protocol.messages import Message
 from asterism.protocol.network import client_config, server_config
 from asterism.protocol.ros2 import types
 from asterism.protocol.ros2.names import RosPlace
 from asterism.protocol.ros2.wire import End, NodeName, Quality, topic_key
-from tests.clients.serving import until
+from tests.clients.serving import COVARIANCE, until
+from tests.protocol.make_golden import ROBOT_POSE
 from tests.servers import open_router
 from tests.service.ros2.independent import FRAME, frame_of, pose, telling
 
@@ -74,6 +81,27 @@ def test_a_router_of_others_carries_everything_to_their_nodes(rng: np.random.Gen
         ):
             until(told)
         assert heard.count(TF_STATIC) == 1  # what was told before it came
+
+
+def test_robots_hear_a_server_that_is_a_router_as_any_other() -> None:
+    with telling(PLACE) as (endpoint, _, air), PoseClient(endpoint) as robots:
+        feed, clock = robots["alpha"], air.publisher.clock
+
+        def told() -> bool:
+            now = replace(
+                ROBOT_POSE,
+                covariance=COVARIANCE,
+                exposed_ns=clock.now_ns(),
+                published_ns=0,
+                session=clock.session,
+            )
+            air.publisher.publish(
+                [Message(keys.odometry("cam", "alpha"), ODOMETRY_KIND, encode_odometry(now), 0, 0, 42)]
+            )
+            return feed.wait(0.02) is not None
+
+        until(told)
+        until(lambda: robots.link.state is LinkState.LIVE)  # its beat and its rig are heard, its token is seen
 
 
 def test_without_ros_the_server_is_a_peer_as_before() -> None:
