@@ -14,6 +14,7 @@ from asterism.protocol.yaml_file import describe
 from asterism.server.command.shared_arguments import add_ros_domain
 from asterism.server.service.on_air import OnAir
 from asterism.server.service.outlets import Outlet
+from asterism.server.service.say import say
 from asterism.server.sources.foreign.ros_images import is_ros
 
 if TYPE_CHECKING:
@@ -104,15 +105,17 @@ def _open_ros(
 ) -> None:
     from asterism.server.service.ros2.outlet import Ros2
 
-    clock = air.publisher.clock
+    topics = f"topics {place.namespace}/ROBOT/pose and odom"
     if options.ros2:
-        node = Node(air.session, place, names.node_name(rig.camera.name))
-        add(Ros2(node, rig, place.namespace, clock))
+        name = names.node_name(rig.camera.name)
+        add(Ros2(Node(air.session, place, name), rig, place, air.publisher.clock))
+        say(f"ROS 2, domain {place.domain}: node {place.namespace}/{name}, {topics}")
     if options.dds:
-        from asterism.server.service.aside import Aside
         from asterism.server.service.dds.node import DdsNode
 
-        add(Aside(Ros2(DdsNode(place.domain), rig, place.namespace, clock), "DDS"))
+        dds = DdsNode(place.domain)
+        add(Ros2(dds, rig, place, air.publisher.clock))
+        say(f"ROS 2 over DDS, domain {place.domain}, {dds.where}: {topics}")
 
 
 def open_outlets(options: argparse.Namespace, rig: Rig, air: OnAir, stack: ExitStack) -> tuple[Outlet, ...]:

@@ -23,7 +23,7 @@ from rich.table import Table
 
 from asterism.protocol.messages import Message
 from asterism.protocol.rig import load_rig
-from asterism.server.service.aside import Aside
+from asterism.protocol.ros2.names import RosPlace
 from asterism.server.service.dds.node import DdsNode
 from asterism.server.service.mavlink.endpoint import Endpoint
 from asterism.server.service.mavlink.outlet import Mavlink
@@ -44,7 +44,7 @@ JOINING_S, LEFT_S = 2.0, 1.0
 def outlet_of(name: str) -> Outlet:
     """As `serve` opens it."""
     if name == "dds":
-        return Aside(Ros2(DdsNode(DOMAIN), RIG, "", SessionClock()), "DDS")
+        return Ros2(DdsNode(DOMAIN), RIG, RosPlace(DOMAIN, ""), SessionClock())
     if name == "mavlink":
         return Mavlink(RIG, [Endpoint(robot, HOST, PORT + k) for k, robot in enumerate(ROBOTS)], SessionClock())
     return NatNet(RIG, HOST, PORT)

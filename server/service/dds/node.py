@@ -60,10 +60,14 @@ class DdsPublisher:
 
 
 class DdsNode:
-    """Publishers of one participant. DDS has no nodes: `ros2 node list` shows those of ROS's own library alone."""
+    """Publishers of one participant; ``where`` says who hears them.
+
+    DDS has no nodes: `ros2 node list` shows those of ROS's own library alone.
+    """
 
     def __init__(self, domain: int) -> None:
         self._participant = Participant(domain)
+        self.where = self._participant.where
         self._publishers: dict[str, DdsPublisher] = {}
 
     def publisher(self, topic: str, kind: RosType, quality: Quality, newest_only: bool = False) -> DdsPublisher:  # noqa: ARG002

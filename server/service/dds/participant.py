@@ -40,7 +40,7 @@ _MASK.argtypes, _MASK.restype = [ctypes.c_uint32], None
 
 
 class Participant:
-    """In that domain until it is closed. Raises InputError where there is no getting in."""
+    """In that domain until it is closed; ``where`` says who hears it. Raises InputError where it cannot be joined."""
 
     def __init__(self, domain: int) -> None:
         self._domain: Domain | None = None
@@ -58,11 +58,9 @@ class Participant:
             if users_own:
                 why = f"expected {USERS_OWN} to be a configuration for Cyclone DDS on this machine, or not to be set"
             raise InputError(f"--dds: domain {domain} cannot be joined: {why}") from None
-        if users_own:
-            say(f"DDS domain {domain}, as {USERS_OWN} has it")
-        else:
+        self.where = f"as {USERS_OWN} has it" if users_own else f"on loopback alone ({USERS_OWN} opens it to a network)"
+        if not users_own:
             _keep_to_loopback(_sockets() - before)
-            say(f"DDS domain {domain}, on loopback alone; {USERS_OWN} opens it to a network")
 
     def close(self) -> None:
         """Leave the domain."""

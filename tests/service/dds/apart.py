@@ -15,7 +15,7 @@ from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.codec import to_bytes
 from asterism.protocol.messages import STATUS, Message, RobotPose
 from asterism.protocol.ros2 import types
-from asterism.server.service.aside import Aside
+from asterism.protocol.ros2.names import RosPlace
 from asterism.server.service.dds.node import DdsNode
 from asterism.server.service.ros2.outlet import Ros2
 from asterism.server.sources.session_clock import SessionClock
@@ -71,7 +71,7 @@ class RoslessNode:
 def main() -> None:
     domain, count = int(sys.argv[1]), int(sys.argv[2])
     node = DdsNode(domain)
-    outlet = Aside(Ros2(node, RIG, NAMESPACE, SessionClock()), "DDS")
+    outlet = Ros2(node, RIG, RosPlace(domain, NAMESPACE), SessionClock())
     listener = RoslessNode(domain)
     until(lambda: min(node.readers().values()) > 0)
     for sent, told in enumerate(poses(count), start=1):

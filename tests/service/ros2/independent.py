@@ -25,10 +25,12 @@ from asterism.server.chain.frame import Frame
 from asterism.server.service.on_air import OnAir, Place, on_air
 from asterism.server.service.ros2.outlet import Ros2
 from asterism.server.sources.session_clock import SessionClock
+from tests.clients.serving import until
 from tests.protocol.make_golden import RIG, SMOOTHED_POSE
 from tests.protocol.ros2.ros_store import STORE
 from tests.servers import TIMEOUT_S, free_endpoint
 
+FIRST_NS = 10**18  # of frame 0
 FRAME = Frame(np.zeros((4, 4), np.uint8), 0, 0)
 
 
@@ -39,13 +41,14 @@ def need_sdk() -> None:
 
 
 @contextlib.contextmanager
-def telling(place: RosPlace, rig: Rig = RIG) -> Iterator[tuple[str, Ros2, OnAir]]:
-    """A server on the air that tells ROS: its endpoint, its outlet."""
-    endpoint, robots = free_endpoint(), [robot.id for robot in rig.robots]
-    with on_air(
-        Place(listen=endpoint, ros_keys=tuple(owned_keys(place, robots))), rig, SessionClock(), lambda: None
-    ) as air:
-        outlet = Ros2(Node(air.session, place, node_name(rig.camera.name)), rig, place.namespace, air.publisher.clock)
+def telling(place: RosPlace, rig: Rig = RIG, router: str | None = None) -> Iterator[tuple[str, Ros2, OnAir]]:
+    """A server on the air that tells ROS, itself a router or a client of ``router``: its endpoint, its outlet."""
+    endpoint = router or free_endpoint()
+    ros_keys = tuple(owned_keys(place, (robot.id for robot in rig.robots)))
+    where = Place(None if router else endpoint, router, None, ros_keys)
+    with on_air(where, rig, SessionClock(), lambda: None) as air:
+        node = Node(air.session, place, node_name(rig.camera.name))
+        outlet = Ros2(node, rig, place, air.publisher.clock)
         try:
             yield endpoint, outlet, air
         finally:
@@ -86,10 +89,23 @@ class SdkNode:
         return told
 
 
+def wait_until_it_listens(node: SdkNode, outlet: Ros2, poses: list[RobotPose]) -> None:
+    """Tell of the same frame until the node has it: what is told before its subscriptions are known does not come."""
+    topics = ["/tf", *(f"{outlet.place.namespace}/{one.robot}/odom" for one in poses)]
+
+    def has_it() -> bool:
+        outlet.write(frame_of(poses), FRAME)
+        return min(node.counts()[topic] for topic in topics) > 0
+
+    until(has_it, TIMEOUT_S)
+
+
 def pose(number: int, rng: np.random.Generator, robot: str = "alpha") -> RobotPose:
     """A smoothed pose of frame ``number``, with random numbers in it."""
     where = replace(SMOOTHED_POSE.pose, position=rng.normal(size=3), orientation=rng.normal(size=4))
-    return replace(SMOOTHED_POSE, robot=robot, pose=where, sequence=number, exposed_ns=10**18 + number * 10**7)
+    return replace(
+        SMOOTHED_POSE, robot=robot, pose=where, sequence=max(number, 0), exposed_ns=FIRST_NS + number * 10**7
+    )
 
 
 def frame_of(poses: list[RobotPose]) -> list[Message]:

@@ -7,17 +7,20 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import zenoh
+import zenoh.ext
 
 from asterism.protocol.network import client_config, server_config
 from asterism.protocol.ros2 import types
 from asterism.protocol.ros2.names import RosPlace
 from asterism.protocol.ros2.wire import End, NodeName, Quality, topic_key
 from tests.clients.serving import until
+from tests.servers import open_router
 from tests.service.ros2.independent import FRAME, frame_of, pose, telling
 
 PLACE = RosPlace(7, "/lab")
 ODOM = topic_key(7, "/lab/alpha/odom", types.ODOMETRY)
 POSE = topic_key(7, "/lab/alpha/pose", types.POSE_WITH_COVARIANCE_STAMPED)
+TF_STATIC = topic_key(7, "/tf_static", types.TF_MESSAGE)
 TF = topic_key(7, "/tf", types.TF_MESSAGE)
 
 
@@ -50,6 +53,27 @@ def test_nodes_find_the_router_that_they_wait_for_and_one_another() -> None:
                 return bool(heard)
 
             until(reaches)
+
+
+def test_a_router_of_others_carries_everything_to_their_nodes(rng: np.random.Generator) -> None:
+    with open_router() as (endpoint, _), telling(PLACE, router=endpoint) as (_, outlet, _), node(endpoint) as listener:
+        heard: list[str] = []
+
+        def hear(sample: zenoh.Sample) -> None:
+            heard.append(str(sample.key_expr))
+
+        def told() -> bool:
+            outlet.write(frame_of([pose(0, rng)]), FRAME)
+            return {ODOM, TF_STATIC} <= set(heard)
+
+        with (
+            listener.declare_subscriber(ODOM, hear),
+            zenoh.ext.declare_advanced_subscriber(
+                listener, TF_STATIC, hear, history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+            ),
+        ):
+            until(told)
+        assert heard.count(TF_STATIC) == 1  # what was told before it came
 
 
 def test_without_ros_the_server_is_a_peer_as_before() -> None:
