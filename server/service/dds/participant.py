@@ -4,7 +4,6 @@ import contextlib
 import ctypes
 import os
 import socket
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -86,13 +85,14 @@ def _sockets() -> set[int]:
 
 def _keep_to_loopback(numbers: set[int]) -> None:
     """Let no packet of another device reach these sockets: Cyclone binds those that it hears by to every address."""
-    if _TO_DEVICE is None:
-        if sys.platform != "linux":
-            say("warning: --dds hears other hosts on this system; keep them out by a firewall")
-        return
-    for one in _opened(numbers):
-        if one.type == socket.SOCK_DGRAM and one.getsockname()[0] in _ANY:
-            one.setsockopt(socket.SOL_SOCKET, _TO_DEVICE, b"lo\0")
+    try:
+        if _TO_DEVICE is None:
+            raise OSError
+        for one in _opened(numbers):
+            if one.type == socket.SOCK_DGRAM and one.getsockname()[0] in _ANY:
+                one.setsockopt(socket.SOL_SOCKET, _TO_DEVICE, b"lo\0")
+    except OSError:  # Linux before 5.7 lets only root do it
+        say("warning: on this system --dds hears other hosts as well; keep them out by a firewall")
 
 
 def _opened(numbers: set[int]) -> Iterator[socket.socket]:
