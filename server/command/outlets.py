@@ -81,7 +81,11 @@ def _namespace(text: str) -> str:
 
 
 def check_outlets(options: argparse.Namespace, rig: Rig) -> None:
-    """Refuse with an InputError what cannot be with this rig, before anything is begun."""
+    """Refuse what cannot be with this rig with an InputError, before anything is begun; raise ModuleNotFoundError for
+    what is not installed.
+    """
+    if options.dds:
+        import cyclonedds  # noqa: F401
     if options.mavlink:
         from asterism.server.service.mavlink.endpoint import systems_of
 
