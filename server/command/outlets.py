@@ -107,7 +107,11 @@ def _namespace(text: str) -> str:
 
 
 def check_outlets(options: argparse.Namespace, rig: Rig) -> None:
-    """Refuse with an InputError what cannot be with this rig, before anything is begun."""
+    """Refuse what cannot be with this rig with an InputError, before anything is begun; raise ModuleNotFoundError for
+    what is not installed.
+    """
+    if options.dds:
+        import cyclonedds  # noqa: F401
     if options.mavlink:
         from asterism.server.service.mavlink.endpoint import systems_of
 
@@ -129,19 +133,19 @@ def _natnet_address(text: str) -> tuple[str, int]:
 def _open_ros(
     options: argparse.Namespace, place: names.RosPlace, rig: Rig, air: OnAir, add: Callable[[Outlet], None]
 ) -> None:
-    from asterism.server.service.aside import Aside
     from asterism.server.service.ros2.outlet import Ros2
 
-    clock = air.publisher.clock
+    topics = f"topics {place.namespace}/ROBOT/pose and odom"
     if options.ros2:
         name = names.node_name(rig.camera.name)
-        add(Aside(Ros2(Node(air.session, place, name), rig, place.namespace, clock), rig, "ROS 2"))
-        topics = f"topics {place.namespace}/ROBOT/pose and odom"
+        add(Ros2(Node(air.session, place, name), rig, place, air.publisher.clock))
         say(f"ROS 2, domain {place.domain}: node {place.namespace}/{name}, {topics}")
     if options.dds:
         from asterism.server.service.dds.node import DdsNode
 
-        add(Aside(Ros2(DdsNode(place.domain), rig, place.namespace, clock), rig, "DDS"))
+        dds = DdsNode(place.domain)
+        add(Ros2(dds, rig, place, air.publisher.clock))
+        say(f"ROS 2 over DDS, domain {place.domain}, {dds.where}: {topics}")
 
 
 def open_outlets(options: argparse.Namespace, rig: Rig, air: OnAir, stack: ExitStack) -> tuple[Outlet, ...]:

@@ -26,9 +26,9 @@ from asterism.protocol.rig import Rig
 from asterism.protocol.schemas import descriptor_set
 from asterism.recordings.viewers import Viewers, first_messages
 from asterism.server.chain.frame import Frame
-from asterism.server.service.backlog import Backlog
 from asterism.server.service.live_image import LIVE_IMAGE, SHOWN_HZ, encode_live_image
 from asterism.server.service.say import say
+from asterism.server.service.threads import Newest
 
 HOST = "127.0.0.1"
 FRAMES_BEHIND = 8  # that a client may be, before it misses the oldest
@@ -56,8 +56,8 @@ class FoxgloveOutlet:
                 f"--foxglove {port}: cannot be listened on at {HOST} ({error}); expected a free port"
             ) from None
         say(f"for Foxglove and PlotJuggler: ws://{HOST}:{port}")
-        self._told = Backlog(self._tell, "foxglove", most=FRAMES_BEHIND)
-        self._seen = Backlog(self._show, "foxglove-image")
+        self._told = Newest(self._tell, "foxglove", waiting=FRAMES_BEHIND)
+        self._seen = Newest(self._show, "foxglove-image")
 
     def take_rig(self, rig: Rig) -> None:
         """Another rig is in force for the frames from now on."""
@@ -74,8 +74,8 @@ class FoxgloveOutlet:
 
     def close(self) -> None:
         """Let go of all clients, and of the port."""
-        self._told.close(rest=False)
-        self._seen.close(rest=False)
+        self._told.close()
+        self._seen.close()
         self._server.stop()
 
     def _tell(self, told: tuple[list[Message], Rig]) -> None:

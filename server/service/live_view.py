@@ -16,11 +16,11 @@ from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.messages import FRAME_REPORT, Message
 from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame
-from asterism.server.service.backlog import Backlog
 from asterism.server.service.bound_process import end, start
 from asterism.server.service.live_image import SHOWN_HZ
 from asterism.server.service.pictures import Opened, Picture
 from asterism.server.service.say import complain, say
+from asterism.server.service.threads import Newest
 
 ENDS_S = 3.0  # a viewer that does not let go is ended after that
 
@@ -46,7 +46,7 @@ class LiveView:
             _close_pipes(self._process)
             raise
         self._rig = self._drawn = rig
-        self._shown = Backlog(self._show, "live-view")
+        self._shown = Newest(self._show, "live-view")
 
     @property
     def pid(self) -> int:
@@ -66,10 +66,10 @@ class LiveView:
 
     def close(self) -> None:
         """Stop showing; a window stays until it is closed."""
-        self._shown.close(1.0 / SHOWN_HZ, rest=False)
+        self._shown.close(1.0 / SHOWN_HZ)
         if self._shown.busy:  # the viewer takes nothing
             end(self._process)
-            self._shown.close(rest=False)
+            self._shown.close()
         assert self._process.stdin is not None
         self._process.stdin.close()
         with contextlib.suppress(subprocess.TimeoutExpired):

@@ -9,7 +9,7 @@ from asterism.server.chain.frame import Frame
 
 class Outlet(Protocol):
     """One more way out. It is called from the chain's own thread but for `status`, and must not hold it up: what takes
-    longer than some 0.1 ms belongs in a thread of its own (`Aside`; a `Backlog` of one where only the newest counts).
+    longer than some 0.1 ms belongs in a thread of its own (`threads.Newest`).
     """
 
     def write(self, messages: list[Message], frame: Frame) -> None:

@@ -1,13 +1,16 @@
-"""Threads around the chain: the newest frame of a camera, the next frames of a file."""
+"""Threads around the chain: the newest frame of a camera, the next frames of a file, the newest value for a viewer."""
 
 import logging
 import queue
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
+from typing import Generic, TypeVar
 
 from asterism.server.chain.frame import Frame
 
 _LOG = logging.getLogger(__name__)
+T = TypeVar("T")
 
 AHEAD = 3  # frames of a file that are decoded before they are needed
 
@@ -106,3 +109,54 @@ class Ticker:
                 self._call()
             except Exception:  # a fault of the program must not end what others take for a sign of life
                 _LOG.exception("what is done every %g s failed; it is tried again", self._every_s)
+
+
+class Newest(Generic[T]):
+    """Calls a function with what it was given last, from a thread of its own: who is slow misses values, and holds up
+    nobody. ``waiting`` values may wait, in order; then the oldest goes, and is counted in ``dropped``.
+    """
+
+    def __init__(self, call: Callable[[T], None], name: str, waiting: int = 1) -> None:
+        self._call = call
+        self._name = name
+        self.dropped = 0
+        self._ready = threading.Condition()
+        self._values: deque[T] = deque(maxlen=waiting)
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def give(self, value: T) -> None:
+        """To be handed on when the function is done with those before, unless so many newer ones come until then."""
+        with self._ready:
+            self.dropped += len(self._values) == self._values.maxlen
+            self._values.append(value)
+            self._ready.notify()
+
+    @property
+    def busy(self) -> bool:
+        """Whether its thread has not ended: of one that is closed, that a call does not return."""
+        return self._thread.is_alive()
+
+    def close(self, timeout_s: float = 5.0, rest: bool = False) -> None:
+        """Hand nothing on any more, but for the ``rest`` that waits, if that is wanted; a call that does not return
+        within that time is left behind.
+        """
+        with self._ready:
+            self._closed = True
+            if not rest:
+                self._values.clear()
+            self._ready.notify()
+        self._thread.join(timeout_s)
+
+    def _run(self) -> None:
+        while True:
+            with self._ready:
+                self._ready.wait_for(lambda: self._values or self._closed)
+                if not self._values:
+                    return
+                value = self._values.popleft()
+            try:
+                self._call(value)
+            except Exception:  # a viewer's fault must not end what shows the next frame
+                _LOG.exception("%s failed; it goes on with the next", self._name)

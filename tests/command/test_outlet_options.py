@@ -1,5 +1,6 @@
 """What of serve's outlets cannot be is refused in one sentence, before anything is begun."""
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -17,8 +18,6 @@ from asterism.server.simulation.demo_rig import DEMO_RIG
         ("--natnet somewhere", "--natnet somewhere: expected an IPv4 address of this machine, such as 127.0.0.1"),
         ("--dds --ros-domain 233", "expected a domain of ROS 2, 0 to 232"),
         ("--dds --ros-namespace lab//north", "is no namespace for ROS, expected parts parted by single slashes"),
-        ("--ros-domain 3", "add --ros2 or --dds"),
-        ("--ros-namespace lab", "add --ros2 or --dds"),
     ],
 )
 def test_it_is_said_what_is_wrong(words: str, sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -30,6 +29,12 @@ def test_it_is_said_what_is_wrong(words: str, sentence: str, capsys: pytest.Capt
     assert code == 2
     assert sentence in said
     assert said.count("\n") == 1
+
+
+def test_what_is_not_installed_is_said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setitem(sys.modules, "cyclonedds", None)
+    assert main(["serve", str(DEMO_RIG), "sim", "--dds"]) == 2
+    assert "install it with: pip install 'asterism-localization[dds]'" in capsys.readouterr().err
 
 
 def test_a_robot_whose_id_is_no_name_for_ros_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,8 +16,6 @@ from asterism.server.service.dds.idl import TYPES
 from asterism.server.service.dds.participant import Participant
 
 _LOG = logging.getLogger(__name__)
-
-
 # The way by `DataWriter.write` takes 250 us to make CDR of Python objects, and holds Python's lock while it sends.
 _WRITE = DDS._dll_handle["dds_write"]
 _WRITE.argtypes, _WRITE.restype = [ctypes.c_int, ctypes.c_void_p], ctypes.c_int
@@ -47,11 +45,6 @@ class DdsPublisher:
                 _LOG.warning("DDS: %s: who reads it does not keep up, messages are dropped", self._topic)
             self._unsent += 1
 
-    @property
-    def readers(self) -> int:
-        """How many read it."""
-        return len(self._writer.get_matched_subscriptions())
-
     def close(self) -> None:
         """Take the topic back."""
         if self._unsent:
@@ -60,21 +53,18 @@ class DdsPublisher:
 
 
 class DdsNode:
-    """Publishers of one participant. DDS has no nodes: `ros2 node list` shows those of ROS's own library alone."""
+    """Publishers of one participant; ``where`` says who hears them.
+
+    DDS has no nodes: `ros2 node list` shows those of ROS's own library alone.
+    """
 
     def __init__(self, domain: int) -> None:
         self._participant = Participant(domain)
-        self._publishers: dict[str, DdsPublisher] = {}
+        self.where = self._participant.where
 
     def publisher(self, topic: str, kind: RosType, quality: Quality, newest_only: bool = False) -> DdsPublisher:  # noqa: ARG002
         """Publish on a topic."""
-        made = DdsPublisher(self._participant, topic, kind, quality)
-        self._publishers[topic] = made
-        return made
-
-    def readers(self) -> dict[str, int]:
-        """How many read each topic."""
-        return {topic: publisher.readers for topic, publisher in self._publishers.items()}
+        return DdsPublisher(self._participant, topic, kind, quality)
 
     def close(self) -> None:
         """Leave the domain."""

@@ -4,7 +4,6 @@ import contextlib
 import ctypes
 import os
 import socket
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -40,7 +39,7 @@ _MASK.argtypes, _MASK.restype = [ctypes.c_uint32], None
 
 
 class Participant:
-    """In that domain until it is closed. Raises InputError where there is no getting in."""
+    """In that domain until it is closed; ``where`` says who hears it. Raises InputError where it cannot be joined."""
 
     def __init__(self, domain: int) -> None:
         self._domain: Domain | None = None
@@ -58,11 +57,9 @@ class Participant:
             if users_own:
                 why = f"expected {USERS_OWN} to be a configuration for Cyclone DDS on this machine, or not to be set"
             raise InputError(f"--dds: domain {domain} cannot be joined: {why}") from None
-        if users_own:
-            say(f"DDS domain {domain}, as {USERS_OWN} has it")
-        else:
+        self.where = f"as {USERS_OWN} has it" if users_own else f"on loopback alone ({USERS_OWN} opens it to a network)"
+        if not users_own:
             _keep_to_loopback(_sockets() - before)
-            say(f"DDS domain {domain}, on loopback alone; {USERS_OWN} opens it to a network")
 
     def close(self) -> None:
         """Leave the domain."""
@@ -88,13 +85,14 @@ def _sockets() -> set[int]:
 
 def _keep_to_loopback(numbers: set[int]) -> None:
     """Let no packet of another device reach these sockets: Cyclone binds those that it hears by to every address."""
-    if _TO_DEVICE is None:
-        if sys.platform != "linux":
-            say("warning: --dds hears other hosts on this system; keep them out by a firewall")
-        return
-    for one in _opened(numbers):
-        if one.type == socket.SOCK_DGRAM and one.getsockname()[0] in _ANY:
-            one.setsockopt(socket.SOL_SOCKET, _TO_DEVICE, b"lo\0")
+    try:
+        if _TO_DEVICE is None:
+            raise OSError
+        for one in _opened(numbers):
+            if one.type == socket.SOCK_DGRAM and one.getsockname()[0] in _ANY:
+                one.setsockopt(socket.SOL_SOCKET, _TO_DEVICE, b"lo\0")
+    except OSError:  # Linux before 5.7 lets only root do it
+        say("warning: on this system --dds hears other hosts as well; keep them out by a firewall")
 
 
 def _opened(numbers: set[int]) -> Iterator[socket.socket]:

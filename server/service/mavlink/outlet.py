@@ -10,11 +10,11 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.messages import ODOMETRY, STATUS, Message
 from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame
-from asterism.server.service.backlog import Backlog
 from asterism.server.service.mavlink.endpoint import WORLD, Endpoint, joined, systems_of
 from asterism.server.service.mavlink.link import Link
 from asterism.server.service.publish import Clock
 from asterism.server.service.say import say
+from asterism.server.service.threads import Newest
 
 MOST_WAITING = 30  # frames: a pose that is older is worth nothing to who flies by it
 
@@ -36,7 +36,7 @@ class Mavlink:
             raise
         self._rig = rig
         self._clock = clock
-        self._backlog: Backlog[list[Message]] = Backlog(self._send, "mavlink", MOST_WAITING)
+        self._sending: Newest[list[Message]] = Newest(self._send, "mavlink", MOST_WAITING)
         self._wake, self._woken = socket.socketpair()
         self._answering = threading.Thread(target=self._answer, name="mavlink-time", daemon=True)
         self._answering.start()
@@ -45,11 +45,11 @@ class Mavlink:
 
     def write(self, messages: list[Message], frame: Frame) -> None:  # noqa: ARG002
         """Send the frame's poses when it is their turn."""
-        self._backlog.give(messages)
+        self._sending.give(messages)
 
     def status(self, messages: list[Message]) -> None:
         """Send a heartbeat."""
-        self._backlog.give(messages)
+        self._sending.give(messages)
 
     def take_rig(self, rig: Rig) -> None:
         """Poses by another rig may jump."""
@@ -57,14 +57,14 @@ class Mavlink:
 
     def close(self) -> None:
         """Send what waits, and no more."""
-        self._backlog.close()
+        self._sending.close(rest=True)
         self._wake.close()
         self._answering.join()
         self._woken.close()
         self._hang_up()
         unsent = sum(link.unsent for link in self._links)
-        if unsent or self._backlog.dropped:
-            say(f"MAVLink: {unsent} messages could not be sent, {self._backlog.dropped} frames waited too long")
+        if unsent or self._sending.dropped:
+            say(f"MAVLink: {unsent} messages could not be sent, {self._sending.dropped} frames waited too long")
 
     def _hang_up(self) -> None:
         for link in self._links:

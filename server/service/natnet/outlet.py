@@ -15,10 +15,10 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.messages import FRAME_REPORT, Message
 from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame
-from asterism.server.service.backlog import Backlog
 from asterism.server.service.natnet import wire
 from asterism.server.service.natnet.audience import Address, Audience
 from asterism.server.service.say import say
+from asterism.server.service.threads import Newest
 
 NAME = "Asterism"
 MOST_WAITING = 30  # frames
@@ -32,7 +32,7 @@ class NatNet:
         self._socket = _bound(host, port)
         self.port: int = self._socket.getsockname()[1]
         self._audience = Audience()
-        self._backlog: Backlog[tuple[bytes, Rig]] = Backlog(self._send, "natnet", MOST_WAITING)
+        self._sending: Newest[tuple[bytes, Rig]] = Newest(self._send, "natnet", MOST_WAITING)
         self._wake, self._woken = socket.socketpair()
         self._answering = threading.Thread(target=self._answer, name="natnet-calls", daemon=True)
         self._answering.start()
@@ -42,7 +42,7 @@ class NatNet:
         """Send the frame when it is its turn."""
         for message in messages:
             if message.kind is FRAME_REPORT:
-                self._backlog.give((message.payload, self._rig))
+                self._sending.give((message.payload, self._rig))
 
     def status(self, messages: list[Message]) -> None:
         """The protocol has no place for it."""
@@ -53,13 +53,13 @@ class NatNet:
 
     def close(self) -> None:
         """Send what waits, and no more."""
-        self._backlog.close()
+        self._sending.close(rest=True)
         self._wake.close()
         self._answering.join()
         self._woken.close()
         self._socket.close()
-        if self._backlog.dropped:
-            say(f"NatNet did not keep up: {self._backlog.dropped} frames were left out")
+        if self._sending.dropped:
+            say(f"NatNet did not keep up: {self._sending.dropped} frames were left out")
 
     def _send(self, given: tuple[bytes, Rig]) -> None:
         payload, rig = given

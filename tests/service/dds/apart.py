@@ -15,8 +15,8 @@ from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.codec import to_bytes
 from asterism.protocol.messages import STATUS, Message, RobotPose
 from asterism.protocol.ros2 import types
-from asterism.server.service.aside import Aside
-from asterism.server.service.dds.node import DdsNode
+from asterism.protocol.ros2.names import RosPlace
+from asterism.server.service.dds.node import DdsNode, DdsPublisher
 from asterism.server.service.ros2.outlet import Ros2
 from asterism.server.sources.session_clock import SessionClock
 from tests.clients.serving import until
@@ -70,10 +70,10 @@ class RoslessNode:
 
 def main() -> None:
     domain, count = int(sys.argv[1]), int(sys.argv[2])
-    node = DdsNode(domain)
-    outlet = Aside(Ros2(node, RIG, NAMESPACE, SessionClock()), RIG, "DDS")
+    outlet = Ros2(DdsNode(domain), RIG, RosPlace(domain, NAMESPACE), SessionClock())
     listener = RoslessNode(domain)
-    until(lambda: min(node.readers().values()) > 0)
+    told_by = [*outlet._robots["alpha"], outlet._tf, outlet._tf_static, outlet._diagnostics]
+    until(lambda: all(isinstance(one, DdsPublisher) and one._writer.get_matched_subscriptions() for one in told_by))
     for sent, told in enumerate(poses(count), start=1):
         outlet.write(frame_of([told]), FRAME)
         if sent % TOGETHER == 0 or sent == count:

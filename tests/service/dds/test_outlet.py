@@ -5,13 +5,20 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 pytest.importorskip("cyclonedds", reason="cyclonedds is not installed (pip install '.[dds]')")
 
+from asterism.protocol.ros2.names import RosPlace
+from asterism.server.service.dds.node import DdsNode
+from asterism.server.service.dds.participant import USERS_OWN
+from asterism.server.service.ros2.outlet import Ros2
+from asterism.server.sources.session_clock import SessionClock
 from tests.helpers import REPOSITORY
+from tests.protocol.make_golden import RIG
 from tests.servers import TIMEOUT_S
 from tests.service.dds.apart import DYNAMIC, TOPICS, poses
 from tests.service.ros2.test_outlet import check_header, check_pose, xyz
@@ -45,6 +52,19 @@ def test_a_node_receives_everything_and_nothing_but_loopback_is_heard() -> None:
     assert [one["child_frame_id"] for one in never_moves["transforms"]] == ["cam", "alpha/tool"]
     (health,) = received["/diagnostics"]
     assert (health["status"][0]["level"], health["status"][0]["message"]) == (1, "the disk is full")
+
+
+def test_robots_come_and_go_with_the_rig(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(USERS_OWN, raising=False)
+    (alpha,) = RIG.robots
+    outlet = Ros2(DdsNode(DOMAIN), RIG, RosPlace(DOMAIN, ""), SessionClock())
+    try:
+        for robots in ((replace(alpha, id="bravo"),), (), (alpha,)):
+            outlet.take_rig(replace(RIG, robots=robots))
+            found = {robot.odom._writer.topic.name for robot in outlet._robots.values()}  # type: ignore[attr-defined]
+            assert found == {f"rt/{robot.id}/odom" for robot in robots}
+    finally:
+        outlet.close()
 
 
 def run_apart(count: int) -> dict[str, Any]:

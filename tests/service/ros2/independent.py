@@ -14,8 +14,7 @@ import pytest
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
-from asterism.protocol.codec import encode_odometry, set_report_pose, to_bytes
-from asterism.protocol.geometry import Pose
+from asterism.protocol.codec import encode_odometry, to_bytes
 from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message, RobotPose
 from asterism.protocol.rig import Rig
 from asterism.protocol.ros2.names import RosPlace, node_name
@@ -49,7 +48,7 @@ def telling(place: RosPlace, rig: Rig = RIG, router: str | None = None) -> Itera
     where = Place(None if router else endpoint, router, None, ros_keys)
     with on_air(where, rig, SessionClock(), lambda: None) as air:
         node = Node(air.session, place, node_name(rig.camera.name))
-        outlet = Ros2(node, rig, place.namespace, air.publisher.clock)
+        outlet = Ros2(node, rig, place, air.publisher.clock)
         try:
             yield endpoint, outlet, air
         finally:
@@ -92,7 +91,7 @@ class SdkNode:
 
 def wait_until_it_listens(node: SdkNode, outlet: Ros2, poses: list[RobotPose]) -> None:
     """Tell of the same frame until the node has it: what is told before its subscriptions are known does not come."""
-    topics = ["/tf", *(f"{outlet.namespace}/{one.robot}/odom" for one in poses)]
+    topics = ["/tf", *(f"{outlet.place.namespace}/{one.robot}/odom" for one in poses)]
 
     def has_it() -> bool:
         outlet.write(frame_of(poses), FRAME)
@@ -109,12 +108,10 @@ def pose(number: int, rng: np.random.Generator, robot: str = "alpha") -> RobotPo
     )
 
 
-def frame_of(poses: list[RobotPose], camera: Pose | None = None) -> list[Message]:
-    """What the server publishes of a frame with these poses; ``camera`` is where it is, if it is followed."""
+def frame_of(poses: list[RobotPose]) -> list[Message]:
+    """What the server publishes of a frame with these poses."""
     told = poses[0]
     report = pb.FrameReport(sequence=told.sequence, exposed_ns=told.exposed_ns, frame_id=told.frame_id)
-    if camera is not None:
-        set_report_pose(report.camera.pose, camera)
     odometry = [
         Message(keys.odometry("cam", one.robot), ODOMETRY, encode_odometry(one), one.exposed_ns, 0, one.sequence)
         for one in poses

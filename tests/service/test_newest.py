@@ -2,17 +2,17 @@
 
 import threading
 
-from asterism.server.service.backlog import Backlog
+from asterism.server.service.threads import Newest
 
 
 def test_everything_is_handed_on_in_order_also_at_the_end() -> None:
     got: list[int] = []
-    backlog = Backlog(got.append, "test", most=1000)
+    newest = Newest(got.append, "test", waiting=1000)
     for k in range(500):
-        backlog.give(k)
-    backlog.close()
+        newest.give(k)
+    newest.close(rest=True)
     assert got == list(range(500))
-    assert backlog.dropped == 0
+    assert newest.dropped == 0
 
 
 def test_who_is_slow_loses_the_oldest_and_it_is_counted() -> None:
@@ -24,15 +24,15 @@ def test_who_is_slow_loses_the_oldest_and_it_is_counted() -> None:
         held.wait()
         got.append(value)
 
-    backlog = Backlog(slow, "test", most=3)
-    backlog.give(0)
+    newest = Newest(slow, "test", waiting=3)
+    newest.give(0)
     assert taken.wait(20.0)  # it is being handed on: it waits no more
     for k in range(1, 11):
-        backlog.give(k)
+        newest.give(k)
     held.set()
-    backlog.close()
+    newest.close(rest=True)
     assert got == [0, 8, 9, 10]
-    assert backlog.dropped == 7
+    assert newest.dropped == 7
 
 
 def test_a_fault_of_one_value_does_not_end_it() -> None:
@@ -43,8 +43,8 @@ def test_a_fault_of_one_value_does_not_end_it() -> None:
             raise ValueError("no ones")
         got.append(value)
 
-    backlog = Backlog(picky, "test", most=10)
+    newest = Newest(picky, "test", waiting=10)
     for k in range(3):
-        backlog.give(k)
-    backlog.close()
+        newest.give(k)
+    newest.close(rest=True)
     assert got == [0, 2]
