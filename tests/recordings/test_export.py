@@ -48,6 +48,7 @@ def test_every_number_of_the_csv_is_what_was_recorded(tmp_path: Path, recorded: 
         with path.open(newline="") as stream:
             for row in csv.DictReader(stream):
                 key = (int(row["frame"]), row["robot"])
+                assert not any("e" in row[name] for name in NUMBERS), "PlotJuggler takes an exponent for text"
                 assert row["time_s"] == seconds(int(row["exposed_ns"])) == seconds(exposed_ns(key[0]))
                 if key in poses:
                     seen.add(key)
