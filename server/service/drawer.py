@@ -19,8 +19,9 @@ from asterism.protocol.rig import Rig
 from asterism.recordings.drawing import APPLICATION, Drawing
 from asterism.recordings.layout import blueprint
 from asterism.server.service.live_image import jpeg
+from asterism.server.service.loopback import free_port
 from asterism.server.service.pictures import Opened, Picture
-from asterism.server.service.rerun_program import Rerun, free_port, has_display
+from asterism.server.service.rerun_program import Rerun, has_display
 from asterism.server.service.web_page import WebPage
 
 NICER = 10  # in priority, than the server

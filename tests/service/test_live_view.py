@@ -22,8 +22,9 @@ from asterism.protocol.rig import Rig, load_rig
 from asterism.server.chain.frame import Frame
 from asterism.server.service.drawer import draw
 from asterism.server.service.live_view import LiveView
+from asterism.server.service.loopback import free_port
 from asterism.server.service.pictures import Picture
-from asterism.server.service.rerun_program import Rerun, free_port
+from asterism.server.service.rerun_program import Rerun
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.helpers import REPOSITORY
 from tests.listening import LOOPBACK, family, free_ports, listening, wait_until_gone
@@ -81,7 +82,8 @@ def test_a_viewer_that_takes_nothing_holds_up_nobody_and_ends(rig: Rig, told: li
             processes = family(view.pid)
         assert {address for address, _ in listening(processes)} <= LOOPBACK
         os.kill(view.pid, signal.SIGSTOP)
-        assert (pipe := view._process.stdin) is not None
+        pipe = view._process.stdin
+        assert pipe is not None
         while waiting(pipe.fileno()) < PIPE:
             view.write(*told[0])
     wait_until_gone(processes)
