@@ -79,7 +79,8 @@ def main(words: list[str]) -> None:
     """Open the viewer, say where it is, draw what comes."""
     out = sys.stdout.buffer
     try:
-        os.nice(NICER)
+        if hasattr(os, "nice"):
+            os.nice(NICER)
         viewer, where = open_viewer(int(words[0]) if words else None)
     except InputError as error:
         pickle.dump(Opened(wrong_input=str(error)), out)
