@@ -1,16 +1,21 @@
 """A client of Foxglove's WebSocket protocol that knows nothing of Asterism: it decodes by the schemas it is told.
 
+`python -m tests.foxglove_client PORT [SECONDS]` prints what a server offers, how much of it comes, and a message.
+
 Source: github.com/foxglove/ws-protocol, docs/spec.md, under the subprotocol of today's SDK.
 """
 
 import base64
+import contextlib
 import json
 import struct
+import sys
 import time
 from collections.abc import Callable
 from types import TracebackType
 from typing import Any, NamedTuple
 
+from google.protobuf import text_format
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
@@ -104,3 +109,26 @@ class FoxgloveClient:
             for number in message["channelIds"]:
                 self.channels.pop(number)
         return None
+
+
+def main(port: int, seconds: float = 3.0) -> None:
+    """Listen to everything for a while."""
+    with FoxgloveClient(port) as client:
+        client.wait_for(lambda: bool(client.topics))
+        heard: list[Heard] = []
+        until = time.monotonic() + seconds
+        with contextlib.suppress(TimeoutError):
+            heard += client.wait_for(lambda: time.monotonic() > until, seconds + 30.0)
+        print(f"{'topic':36} {'schema':26} {'1/s':>5} {'bytes':>6}")
+        for topic, schema in sorted(client.topics.items()):
+            sizes = [len(one.payload) for one in heard if one.topic == topic]
+            print(f"{topic:36} {schema:26} {len(sizes) / seconds:5.0f} {sum(sizes) // max(len(sizes), 1):6}")
+        odometry = next(client.decode(one) for one in reversed(heard) if client.topics[one.topic].endswith("Odometry"))
+        print(f"{odometry.body_frame_id} in {odometry.frame_id} at {odometry.timestamp.ToJsonString()}:")
+        for part in ("position", "orientation"):
+            print(part, "{", text_format.MessageToString(getattr(odometry.pose, part), as_one_line=True), "}")
+        print(text_format.MessageToString(odometry.metadata[0], as_one_line=True))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), *map(float, sys.argv[2:]))

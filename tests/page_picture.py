@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from asterism.server.service.rerun_program import free_port
+from asterism.server.service.loopback import free_port
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.browser import Browser
 from tests.servers import free_endpoint, running, wait_for_line

@@ -1,8 +1,6 @@
 """Processes beside the server: Ctrl-C in its terminal does not reach them, and they end with it, however it ends."""
 
-import contextlib
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -32,7 +30,7 @@ def start(command: Sequence[str], *, stays: bool = False, pipes: bool = False) -
 
 
 def end(process: subprocess.Popen[bytes]) -> None:
-    """End it and what it started; it has nothing to save."""
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+    """End it, and with it what is bound to it; it has nothing to save."""
+    if process.poll() is None:
+        process.kill()
+        process.wait()

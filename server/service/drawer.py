@@ -19,8 +19,9 @@ from asterism.protocol.rig import Rig
 from asterism.recordings.drawing import APPLICATION, Drawing
 from asterism.recordings.layout import blueprint
 from asterism.server.service.live_image import jpeg
+from asterism.server.service.loopback import free_port
 from asterism.server.service.pictures import Opened, Picture
-from asterism.server.service.rerun_program import Rerun, free_port, has_display
+from asterism.server.service.rerun_program import Rerun, has_display
 from asterism.server.service.web_page import WebPage
 
 NICER = 10  # in priority, than the server
@@ -78,7 +79,8 @@ def main(words: list[str]) -> None:
     """Open the viewer, say where it is, draw what comes."""
     out = sys.stdout.buffer
     try:
-        os.nice(NICER)
+        if hasattr(os, "nice"):
+            os.nice(NICER)
         viewer, where = open_viewer(int(words[0]) if words else None)
     except InputError as error:
         pickle.dump(Opened(wrong_input=str(error)), out)

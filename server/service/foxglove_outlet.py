@@ -27,10 +27,10 @@ from asterism.protocol.schemas import descriptor_set
 from asterism.recordings.viewers import Viewers, first_messages
 from asterism.server.chain.frame import Frame
 from asterism.server.service.live_image import LIVE_IMAGE, SHOWN_HZ, encode_live_image
+from asterism.server.service.loopback import HOST, why_taken
 from asterism.server.service.say import say
 from asterism.server.service.threads import Newest
 
-HOST = "127.0.0.1"
 FRAMES_BEHIND = 8  # that a client may be, before it misses the oldest
 
 
@@ -43,18 +43,15 @@ class FoxgloveOutlet:
         self._camera_told = False  # by the frames themselves, where it is followed
         self._rig = rig
         self._take(rig)
-        try:
-            self._server = foxglove.start_server(
-                name=f"asterism {rig.camera.name}",
-                host=HOST,
-                port=port,
-                context=self._context,
-                message_backlog_size=FRAMES_BEHIND * len(self._channels),
-            )
-        except RuntimeError as error:
-            raise InputError(
-                f"--foxglove {port}: cannot be listened on at {HOST} ({error}); expected a free port"
-            ) from None
+        if why := why_taken(port):
+            raise InputError(f"--foxglove {port}: cannot be listened on at {HOST} ({why}); expected a free port")
+        self._server = foxglove.start_server(
+            name=f"asterism {rig.camera.name}",
+            host=HOST,
+            port=port,
+            context=self._context,
+            message_backlog_size=FRAMES_BEHIND * len(self._channels),
+        )
         say(f"for Foxglove and PlotJuggler: ws://{HOST}:{port}")
         self._told = Newest(self._tell, "foxglove", waiting=FRAMES_BEHIND)
         self._seen = Newest(self._show, "foxglove-image")

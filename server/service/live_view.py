@@ -102,9 +102,10 @@ class LiveView:
     def _hand_over(self, value: Rig | Picture) -> None:
         assert self._process.stdin is not None
         data = pickle.dumps(value, pickle.HIGHEST_PROTOCOL)
-        left = memoryview(len(data).to_bytes(8, "little") + data)
-        while left:
-            left = left[os.write(self._process.stdin.fileno(), left) :]
+        for part in (len(data).to_bytes(8, "little"), data):
+            left = memoryview(part)
+            while left:
+                left = left[os.write(self._process.stdin.fileno(), left) :]
 
 
 def _say_where(process: subprocess.Popen[bytes]) -> None:

@@ -2,13 +2,11 @@
 
 import importlib.util
 import os
-import socket
 import sys
 from pathlib import Path
 
 from asterism.server.service.bound_process import end, start
-
-HOST = "127.0.0.1"
+from asterism.server.service.loopback import HOST
 
 
 class Rerun:
@@ -37,14 +35,6 @@ class Rerun:
 def has_display() -> bool:
     """Whether there is a screen for a window."""
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-
-
-def free_port() -> int:
-    """A port of loopback that nobody listens on now."""
-    with socket.socket() as probe:
-        probe.bind((HOST, 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def _program() -> list[str]:

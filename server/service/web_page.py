@@ -8,7 +8,6 @@ browser keeps the page to this machine (Content-Security-Policy), and without wh
 import contextlib
 import http.client
 import re
-import socket
 import socketserver
 import threading
 import time
@@ -16,7 +15,8 @@ from http.server import BaseHTTPRequestHandler
 from urllib.parse import quote
 
 from asterism.protocol.errors import InputError
-from asterism.server.service.rerun_program import HOST, Rerun, free_port
+from asterism.server.service.loopback import HOST, free_port, why_taken
+from asterism.server.service.rerun_program import Rerun
 
 SERVER_MEMORY = "32MiB"  # of what it keeps for browsers that come later: some 20 s
 STARTS_S = 30.0  # the program is large: that long until it answers, on a machine that is busy
@@ -26,14 +26,19 @@ _FOREIGN = re.compile(rb'<link\b[^>]*"https://[^>]*>')  # connections in advance
 
 class WebPage:
     """rerun's page at ``port``, what it shows at the next one. Raises InputError for ports that cannot be had,
-    WorldError where rerun is not installed.
+    ModuleNotFoundError where rerun is not installed.
     """
 
     def __init__(self, port: int) -> None:
         self.address = f"http://{HOST}:{port}"
-        self._server = _listening(port)
+        for needed in (port, port + 1):
+            if why := why_taken(needed):
+                raise InputError(
+                    f"--web {port}: port {needed} cannot be listened on at {HOST} ({why}); expected two free ports, "
+                    "PORT for the page and PORT + 1 for what it shows"
+                )
+        self._server = _Server((HOST, port), _Handler)
         try:
-            _look_at(port + 1, port)
             files = free_port()
             self._rerun = Rerun(
                 port + 1, "--serve-web", "--web-viewer-port", str(files), "--server-memory-limit", SERVER_MEMORY
@@ -110,14 +115,13 @@ class _Handler(BaseHTTPRequestHandler):
     def _hand_on(self, answer: http.client.HTTPResponse) -> None:
         kind = answer.headers.get("Content-Type", "application/octet-stream")
         page = _FOREIGN.sub(b"", answer.read()) if kind.startswith("text/html") else None
-        length = str(len(page)) if page is not None else answer.headers.get("rerun-final-length", "")
+        length = str(len(page)) if page is not None else answer.headers.get("rerun-final-length")
         self.send_response(answer.status)
         for name, value in (
             ("Content-Type", kind),
-            ("Content-Length", length),
-            ("rerun-final-length", length),
             ("Content-Security-Policy", self.server.policy),
             ("Referrer-Policy", "no-referrer"),
+            *((name, length) for name in ("Content-Length", "rerun-final-length") if length),
         ):
             self.send_header(name, value)
         self.end_headers()
@@ -129,28 +133,3 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, *_: object) -> None:
         """Nobody wants to read it."""
-
-
-def _listening(port: int) -> _Server:
-    try:
-        return _Server((HOST, port), _Handler)
-    except OSError as error:
-        raise _taken(port, port, error) from None
-
-
-def _look_at(port: int, asked: int) -> None:
-    """Raises InputError for one that cannot be listened on."""
-    try:
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind((HOST, port))
-    except (OSError, OverflowError) as error:
-        raise _taken(port, asked, error) from None
-
-
-def _taken(port: int, asked: int, error: Exception) -> InputError:
-    why = getattr(error, "strerror", None) or "there is none"
-    return InputError(
-        f"--web {asked}: port {port} cannot be listened on at {HOST} ({why}); expected two free ports, "
-        "PORT for the page and PORT + 1 for what it shows"
-    )

@@ -81,14 +81,19 @@ def run(kind: str, seconds: float) -> Run:
         record = ("--record", folder, *KINDS[kind]) if KINDS[kind] else ()
         server = serve_film(DEMO_RIG, Path(folder), RATE_HZ, "--listen", endpoint, *record)
         try:
-            before = cpu_s(server.pid)
-            done = subprocess.run(
-                [sys.executable, "-c", CLIENT, endpoint, str(seconds)], capture_output=True, text=True, check=True
-            )
-            used = cpu_s(server.pid) - before
+            return heard(server.pid, endpoint, seconds)
         finally:
             server.send_signal(signal.SIGINT)
             server.wait(timeout=60)
+
+
+def heard(server: int, endpoint: str, seconds: float) -> Run:
+    """Listen from another process to a server that runs."""
+    before = cpu_s(server)
+    done = subprocess.run(
+        [sys.executable, "-c", CLIENT, endpoint, str(seconds)], capture_output=True, text=True, check=True
+    )
+    used = cpu_s(server) - before
     told = json.loads(done.stdout)
     # The second before counts its frames too.
     return Run(told["ms"], told["lost"], 1e3 * used / (told["frames"] + RATE_HZ))

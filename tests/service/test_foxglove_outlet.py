@@ -19,7 +19,7 @@ from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, STATUS, Message
 from asterism.protocol.rig import Rig, load_rig
 from asterism.server.chain.frame import Frame
 from asterism.server.service.foxglove_outlet import FRAMES_BEHIND, FoxgloveOutlet
-from asterism.server.service.rerun_program import free_port
+from asterism.server.service.loopback import free_port
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.foxglove_client import FoxgloveClient, Heard
 from tests.service.published import published

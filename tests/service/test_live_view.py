@@ -1,15 +1,14 @@
 """The viewer beside a server: it shows what a review shows, holds up nobody, and ends with the server."""
 
 import contextlib
-import fcntl
 import os
 import signal
 import socket
 import subprocess
 import sys
-import termios
 import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,9 @@ from asterism.protocol.rig import Rig, load_rig
 from asterism.server.chain.frame import Frame
 from asterism.server.service.drawer import draw
 from asterism.server.service.live_view import LiveView
+from asterism.server.service.loopback import free_port
 from asterism.server.service.pictures import Picture
-from asterism.server.service.rerun_program import Rerun, free_port
+from asterism.server.service.rerun_program import Rerun
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.helpers import REPOSITORY
 from tests.listening import LOOPBACK, family, free_ports, listening, wait_until_gone
@@ -57,12 +57,16 @@ def told(rig: Rig) -> list[tuple[list[Any], Frame]]:
     return list(published(rig, 2))
 
 
-def test_what_is_drawn_is_what_a_review_draws(rig: Rig, told: list[tuple[list[Any], Frame]], tmp_path: Path) -> None:
+def test_what_is_drawn_is_what_a_review_draws_with_each_rig_in_turn(
+    rig: Rig, told: list[tuple[list[Any], Frame]], tmp_path: Path
+) -> None:
     viewer = Rerun(free_port(), "--save", str(tmp_path / "shown.rrd"))
     robots = {f"/world/robots/{robot.id}" for robot in rig.robots}
     wanted = robots | {"/world/camera/image", "/world/camera/image/spots", "/robots", "/plots/latency/solving"}
+    new = replace(rig, robots=(*rig.robots[1:], replace(rig.robots[0], id="new")))
+    wanted.add("/world/robots/new/plate")
     try:
-        draw(iter([rig, *(picture(*one) for one in told)]), viewer)
+        draw(iter([rig, picture(*told[0]), new, picture(*told[1])]), viewer)
         until = time.monotonic() + 30.0
         while not wanted <= (entities := in_file(tmp_path / "shown.rrd")):
             assert time.monotonic() < until, wanted - entities
@@ -113,6 +117,9 @@ def test_a_port_in_use_is_refused_before_anything_is_shown(rig: Rig) -> None:
 
 def waiting(pipe: int) -> int:
     """Bytes that nobody has read."""
+    import fcntl
+    import termios
+
     return int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)), sys.byteorder)
 
 
