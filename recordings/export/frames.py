@@ -36,6 +36,8 @@ class ExportedRobot:
 
     ``covariance`` are 36 numbers, row-major, m and rad: x, y, z, rotation about x, y, z of the parent frame.
     ``residuals_px`` are observed minus predicted, by LED; ``points`` named points in the frame of the pose, m.
+    ``spots_px2`` is the mean variance of a coordinate of its spots, None where none is told; ``misfit_m`` how far off
+    the rig has its LEDs, as frames before told, 0 where they told nothing.
     """
 
     id: str
@@ -52,6 +54,8 @@ class ExportedRobot:
     alternative: Alternative | None = None
     smoothed_by: str = ""
     extrapolated: bool = False
+    spots_px2: float | None = None
+    misfit_m: float = 0.0
 
     @property
     def pose(self) -> Pose | None:
@@ -81,7 +85,7 @@ class ExportedFrame:
     """One frame: its name and number, mid-exposure in ns since the Unix epoch, the server's session (0: none is known),
     the parent frame of its poses, and the robots of the rig that was in force.
 
-    ``T_world_camera`` is there where the rig follows its camera's place.
+    ``T_world_camera`` is there where the rig follows its camera's place, with its covariance, 36 numbers.
     """
 
     name: str
@@ -91,6 +95,7 @@ class ExportedFrame:
     frame_id: str
     robots: tuple[ExportedRobot, ...]
     T_world_camera: Pose | None = None
+    camera_covariance: Numbers = ()
 
 
 def points_of(rigs: Iterable[Rig]) -> dict[str, list[str]]:
@@ -161,10 +166,15 @@ def _of_odometry(told: dict[str, RobotPose]) -> ExportedFrame:
 
 
 def _of_report(report: "pb.FrameReport", told: dict[str, RobotPose]) -> ExportedFrame:
-    robots = tuple(_robot(robot, told.get(robot.id)) for robot in report.robots)
+    misfits = [*report.learned.led_misfit, *[0.0] * (len(report.robots) - len(report.learned.led_misfit))]
+    robots = tuple(
+        replace(_robot(robot, told.get(robot.id)), misfit_m=misfits[k], spots_px2=_spots_px2(report, robot))
+        for k, robot in enumerate(report.robots)
+    )
     place = report_pose(report.camera.pose) if report.HasField("camera") else None
+    spread = tuple(report.camera.covariance)
     number = report.sequence
-    return ExportedFrame(str(number), number, report.exposed_ns, report.session, report.frame_id, robots, place)
+    return ExportedFrame(str(number), number, report.exposed_ns, report.session, report.frame_id, robots, place, spread)
 
 
 def _robot(robot: "pb.RobotReport", told: RobotPose | None) -> ExportedRobot:
@@ -189,6 +199,12 @@ def _robot(robot: "pb.RobotReport", told: RobotPose | None) -> ExportedRobot:
         smoothed_by=robot.smoothed_by,
         extrapolated=robot.extrapolated,
     )
+
+
+def _spots_px2(report: "pb.FrameReport", robot: "pb.RobotReport") -> float | None:
+    xx, yy = report.spots.covariance_xx, report.spots.covariance_yy
+    own = [0.5 * (xx[k] + yy[k]) for k in robot.spot if 0 <= k < min(len(xx), len(yy))]
+    return sum(own) / len(own) if own else None
 
 
 def _alternative(robot: "pb.RobotReport") -> Alternative | None:

@@ -6,10 +6,12 @@ from pathlib import Path
 from typing import Annotated
 
 import msgspec
+import numpy as np
 
 from asterism.protocol.codec import UNIT
 from asterism.protocol.errors import InputError
 from asterism.protocol.keys import key_problem
+from asterism.protocol.messages import Velocity
 from asterism.protocol.yaml_file import describe
 from asterism.recordings.export.frames import Alternative, ExportedFrame, ExportedRobot
 
@@ -29,6 +31,12 @@ class _Alternative(msgspec.Struct):
     odds: float
 
 
+class _Velocity(msgspec.Struct):
+    linear: Three
+    angular: Three
+    covariance: list[float]
+
+
 class _Robot(msgspec.Struct):
     id: str
     position: Three
@@ -39,6 +47,7 @@ class _Robot(msgspec.Struct):
     rms_px: float | None = None
     alternative: _Alternative | None = None
     filter: str = ""
+    velocity: _Velocity | None = None
     extrapolated: bool = False
 
 
@@ -107,8 +116,17 @@ def _located(robot: _Robot, where: str) -> ExportedRobot:
         rms_px=robot.rms_px,
         alternative=None if other is None else Alternative(other.position, other.orientation, other.odds),
         smoothed_by=robot.filter,
+        velocity=_velocity(robot.velocity, where),
         extrapolated=robot.extrapolated,
     )
+
+
+def _velocity(told: _Velocity | None, where: str) -> Velocity | None:
+    if told is None:
+        return None
+    if len(told.covariance) != 36:
+        raise InputError(f"{where}: velocity: covariance: {len(told.covariance)} numbers, expected 36")
+    return Velocity(np.array(told.linear), np.array(told.angular), np.array(told.covariance).reshape(6, 6))
 
 
 def _check_pose(position: Three, orientation: Four, where: str) -> None:

@@ -4,39 +4,34 @@ A filter after `localize`, which never sees it: poses that nobody asked to smoot
 the published pose with its published covariance and gives back both; a robot that has no pose in a frame gets none here
 either, whatever could be predicted. Its memory is a value that is passed in and handed back, like `Tracks`.
 
-Filter: interacting multiple model (IMM) of four Kalman filters, each with constant velocity and turn rate disturbed by
-white acceleration, from a robot that all but stands still to one that starts and stops hard; how well each foresaw the
-measured poses weighs them. So a still robot is smoothed much, a manoeuvring one hardly, and the covariance, spread of
-the four included, follows. State: position, small rotation about the parent's axes against a common reference,
-velocity, turn rate. It is causal and has no fixed delay.
+Filter: `belief`, over several manners of moving (`manners`), from a robot that all but stands still to one that starts
+and stops hard; how well each foresaw the measured poses weighs them. So a still robot is smoothed much, one that starts
+hardly, and the covariance, spread of the manners included, follows. It is causal: it takes a start for noise until it
+is more than that.
 
-What it cannot know: errors that stay the same from frame to frame (calibration, LED positions) do not average out,
-while the covariance after filtering takes the errors of frames for independent.
-
-Source: Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, 6.2.2 (white
-acceleration) and 11.6.6 (IMM).
+Errors that stay the same from frame to frame do not average out (`stays`): the filter is told of the others alone, and
+what stays is added to what it is sure of. Where other LEDs are seen than before, what stays is another.
 """
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from asterism.protocol.geometry import Floats, Pose, exp_rotation, log_rotation
+from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.messages import Velocity
+from asterism.protocol.rig import Rig
+from asterism.server.chain.belief import Belief, Sight, Step, begin, go_on, together, twists
 from asterism.server.chain.frame import FrameResult
+from asterism.server.chain.manners import MANNERS
+from asterism.server.chain.stays import Told, what_stays
+from asterism.server.chain.turns import exp_rotations
 from asterism.server.pose.solve import Lost, PoseEstimate
-from asterism.server.pose.track import FORGET_NS, UNKNOWN_SPEED, UNKNOWN_TURN
+from asterism.server.pose.track import FORGET_NS
 
-FILTER = "interacting multiple model, constant velocity"
-# Power spectral densities of the acceleration, m^2/s^3, and of the turn's, rad^2/s^3, in the four models. At 60 Hz the
-# last is 6 m/s^2 and 40 rad/s^2, one sigma: a small robot that starts or stops hard.
-ACCELERATIONS = np.array([0.6e-6, 0.6e-4, 0.6e-2, 0.6])
-TURN_ACCELERATIONS = np.array([27e-6, 27e-4, 27e-2, 27.0])
-SOJOURN_S = 0.5  # how long a robot keeps to one manner of moving, on average
+FILTER = "interacting multiple model, constant twist"
 JUMP = 38.0  # chi squared (six degrees of freedom, one in a million) from which on a pose does not continue the motion
-MODELS = len(ACCELERATIONS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,15 +41,19 @@ class SmoothedPose(PoseEstimate):
     velocity: Velocity | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Motion:
-    """One robot's motion as the four models believe it.
+class Seen(NamedTuple):
+    """Poses of n robots in a frame: what was seen, what of their covariances ``stays`` (n, 6, 6), and by which LEDs."""
 
-    ``states`` (4, 12): position m, rotation vector against ``rotation`` (3, 3), velocity m/s, turn rate rad/s, about
-    the parent's axes; ``covariances`` (4, 12, 12); ``weights`` (4,), which sum to 1.
-    """
+    sight: Sight
+    stays: Floats
+    leds: Sequence[tuple[int, ...]]
+
+
+class Motion(NamedTuple):
+    """One robot's motion, its rows of a `Belief`; when it was seen last, and by which LEDs."""
 
     seen_ns: int
+    leds: tuple[int, ...]
     rotation: Floats
     states: Floats
     covariances: Floats
@@ -73,131 +72,96 @@ class Motions:
         return Motions()
 
 
-def smooth(result: FrameResult, before: Motions) -> tuple[FrameResult, Motions]:
+def smooth(result: FrameResult, before: Motions, rig: Rig) -> tuple[FrameResult, Motions]:
     """The frame's result with its poses smoothed and labelled so, and the memory for the next frame.
 
     Position, orientation and covariance are the filter's; residuals and the alternative of an ambiguous tilt stay what
     the frame said. A pose that does not continue the motion (after `track.FORGET_NS` out of sight, a jump, the other
     tilt) is left as measured, and the filter starts from it.
     """
-    answers: dict[str, PoseEstimate | Lost] = {}
+    poses = {robot: answer for robot, answer in result.answers.items() if isinstance(answer, PoseEstimate)}
+    if not poses:
+        return result, before
+    seen = seen_in(result, rig)
+    known = [before.robots.get(robot) for robot in poses]
+    belief, _ = follow(known, result.exposed_ns, seen)
     motions = dict(before.robots)
-    for robot, answer in result.answers.items():
-        if not isinstance(answer, PoseEstimate):
-            answers[robot] = answer
-            continue
-        motion = follow(motions.get(robot), result.exposed_ns, answer.pose, answer.covariance)
-        motions[robot] = motion
-        pose, covariance = estimate(motion)
-        answers[robot] = SmoothedPose(
-            position=pose.position,
-            orientation=pose.orientation,
-            covariance=covariance,
-            leds=answer.leds,
-            spots=answer.spots,
-            residuals_px=answer.residuals_px,
-            rms_px=answer.rms_px,
-            alternative=answer.alternative,
-            smoothed_by=FILTER,
-            extrapolated=answer.extrapolated,
-            velocity=velocity(motion),
-        )
+    for k, robot in enumerate(poses):
+        motions[robot] = Motion(result.exposed_ns, seen.leds[k], *(part[k] for part in belief))
+    told = estimates(belief, seen.stays)
+    answers: dict[str, PoseEstimate | Lost] = dict(result.answers)
+    for robot, (pose, covariance, velocity) in zip(poses, told, strict=True):
+        answers[robot] = smoothed(poses[robot], pose, covariance, velocity, FILTER)
     return replace(result, answers=answers), Motions(motions)
 
 
-def estimate(motion: Motion) -> tuple[Pose, Floats]:
-    """Pose and covariance (6, 6), m and rad about the parent's axes, of all models together."""
-    state, covariance = _together(motion.weights, motion.states, motion.covariances)
-    turned = exp_rotation(state[3:6]) @ motion.rotation
-    return Pose.from_matrix(turned, state[:3]), covariance[:6, :6]
+def seen_in(result: FrameResult, rig: Rig) -> Seen:
+    """The poses of a frame, of all robots that have one, in their order."""
+    rows = [k for k, robot in enumerate(rig.robots) if isinstance(result.answers[robot.id], PoseEstimate)]
+    poses = [answer for answer in result.answers.values() if isinstance(answer, PoseEstimate)]
+    positions, covariances = (np.array([getattr(pose, name) for pose in poses]) for name in ("position", "covariance"))
+    spots = result.blobs.covariances_px2
+    own_px2 = np.array([spots[list(pose.spots)][:, ::2].mean() for pose in poses])
+    place = result.place
+    camera = (place.T_world_camera, place.covariance) if place is not None else None
+    stays = what_stays(Told(positions, covariances, own_px2, result.learned[rows]), rig, camera)
+    axes = np.array([rig.robots[k].T_robot_plane.rotation[:, 2] for k in rows])
+    rotations = np.array([pose.pose.rotation for pose in poses])
+    return Seen(Sight(positions, rotations, covariances - stays, axes), stays, [pose.leds for pose in poses])
 
 
-def velocity(motion: Motion) -> Velocity:
-    """How the robot moves, in its own frame: what it is unsure of its orientation makes its velocity unsure as well."""
-    state, covariance = _together(motion.weights, motion.states, motion.covariances)
-    turn = exp_rotation(state[3:6]) @ motion.rotation
-    linear, angular = turn.T @ state[6:9], turn.T @ state[9:]
-    # Where the orientation is off by e and the parent's velocity by d, the robot's is off by R^T (d + v x e).
-    jacobian = np.zeros((6, 12))
-    for rows, vector in ((slice(0, 3), state[6:9]), (slice(3, 6), state[9:])):
-        x, y, z = vector
-        jacobian[rows, 3:6] = turn.T @ np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    jacobian[:3, 6:9] = jacobian[3:, 9:] = turn.T
-    accelerations = (float(motion.weights @ ACCELERATIONS), float(motion.weights @ TURN_ACCELERATIONS))
-    spread = jacobian @ covariance @ jacobian.T
-    return Velocity(linear, angular, 0.5 * (spread + spread.T), accelerations)
-
-
-def follow(before: Motion | None, exposed_ns: int, pose: Pose, covariance: Floats) -> Motion:
-    """The motion after one more measured pose with its covariance (6, 6)."""
-    if before is None or not 0 < exposed_ns - before.seen_ns <= FORGET_NS:
-        return _begin(exposed_ns, pose, covariance)
-    rotation, states, covariances, weights = _predict(before, (exposed_ns - before.seen_ns) * 1e-9)
-    measured = np.concatenate([pose.position, log_rotation(pose.rotation @ rotation.T)])
-    innovations = measured - states[:, :6]
-    spreads = covariances[:, :6, :6] + covariance
-    chi2 = np.einsum("mi,mi->m", innovations, np.linalg.solve(spreads, innovations[..., None])[..., 0])
-    if chi2.min() > JUMP:
-        return _begin(exposed_ns, pose, covariance)
-    gains = np.linalg.solve(spreads, covariances[:, :6, :]).transpose(0, 2, 1)  # (4, 12, 6)
-    states = states + np.einsum("mij,mj->mi", gains, innovations)
-    # Joseph's form: stays symmetric and positive.
-    kept = np.eye(12) - np.concatenate([gains, np.zeros((MODELS, 12, 6))], axis=2)
-    covariances = kept @ covariances @ kept.transpose(0, 2, 1) + gains @ covariance @ gains.transpose(0, 2, 1)
-    log_likelihoods = np.log(weights) - 0.5 * (chi2 + np.linalg.slogdet(spreads)[1])
-    weights = np.exp(log_likelihoods - log_likelihoods.max())
-    weights /= weights.sum()
-    # The reference follows, so that rotations against it stay small.
-    turn = weights @ states[:, 3:6]
-    states[:, 3:6] -= turn
-    return Motion(exposed_ns, exp_rotation(turn) @ rotation, states, covariances, weights)
-
-
-def _begin(exposed_ns: int, pose: Pose, covariance: Floats) -> Motion:
-    """One pose, moving at any speed."""
-    state, spread = np.zeros(12), np.zeros((12, 12))
-    state[:3] = pose.position
-    spread[:6, :6] = covariance
-    spread[6:9, 6:9] = UNKNOWN_SPEED**2 * np.eye(3)
-    spread[9:, 9:] = UNKNOWN_TURN**2 * np.eye(3)
-    return Motion(
-        exposed_ns,
-        pose.rotation,
-        np.tile(state, (MODELS, 1)),
-        np.tile(spread, (MODELS, 1, 1)),
-        np.full(MODELS, 1.0 / MODELS),
+def smoothed(seen: PoseEstimate, pose: Pose, covariance: Floats, velocity: Velocity, smoothed_by: str) -> SmoothedPose:
+    """A frame's pose as a filter has it."""
+    return SmoothedPose(
+        position=pose.position,
+        orientation=pose.orientation,
+        covariance=covariance,
+        leds=seen.leds,
+        spots=seen.spots,
+        residuals_px=seen.residuals_px,
+        rms_px=seen.rms_px,
+        alternative=seen.alternative,
+        smoothed_by=smoothed_by,
+        extrapolated=seen.extrapolated,
+        velocity=velocity,
     )
 
 
-def _predict(motion: Motion, dt: float) -> tuple[Floats, Floats, Floats, Floats]:
-    """Reference, states, covariances and weights of the models ``dt`` s later, their interaction first."""
-    stay = math.exp(-dt / SOJOURN_S)
-    switch = np.full((MODELS, MODELS), (1.0 - stay) / (MODELS - 1))
-    np.fill_diagonal(switch, stay)
-    joint = switch * motion.weights[:, None]  # from row, to column
-    weights = joint.sum(axis=0)
-    mixed = [_together(joint[:, k] / weights[k], motion.states, motion.covariances) for k in range(MODELS)]
-    states = np.array([state for state, _ in mixed])
-    covariances = np.array([covariance for _, covariance in mixed])
-    turn = (weights @ states[:, 9:]) * dt
-    on = np.eye(12)
-    on[:6, 6:] = dt * np.eye(6)
-    states = states @ on.T
-    states[:, 3:6] -= turn
-    covariances = on @ covariances @ on.T
-    axes = np.arange(3)
-    for first, densities in ((0, ACCELERATIONS), (3, TURN_ACCELERATIONS)):
-        at, rate = first + axes, first + 6 + axes
-        covariances[:, at, at] += densities[:, None] * dt**3 / 3.0
-        covariances[:, at, rate] += densities[:, None] * dt**2 / 2.0
-        covariances[:, rate, at] += densities[:, None] * dt**2 / 2.0
-        covariances[:, rate, rate] += densities[:, None] * dt
-    return exp_rotation(turn) @ motion.rotation, states, covariances, weights
+def follow(known: Sequence[Motion | None], exposed_ns: int, seen: Seen) -> tuple[Belief, dict[int, Step]]:
+    """What is believed of n robots after one more frame, and by which step it came there, of those that went on: by
+    the robots' places.
+    """
+    going = [k for k, motion in enumerate(known) if motion and 0 < exposed_ns - motion.seen_ns <= FORGET_NS]
+    belief, steps = begin(seen.sight), dict[int, Step]()
+    if not going:
+        return belief, steps
+    motions = [motion for k in going if (motion := known[k]) is not None]
+    before = Belief(*(np.array([motion[part] for motion in motions]) for part in range(2, 6)))
+    dt = np.array([(exposed_ns - motion.seen_ns) * 1e-9 for motion in motions])
+    stays = seen.stays[going]
+    other = np.array([motion.leds != seen.leds[k] for motion, k in zip(motions, going, strict=True)])
+    after, step = go_on(before, Sight(*(part[going] for part in seen.sight)), dt, other[:, None, None] * stays, stays)
+    for row, k in enumerate(going):
+        if step.chi2[row] <= JUMP:
+            steps[k] = Step(*(part[row : row + 1] for part in step))
+            for target, source in zip(belief, after, strict=True):
+                target[k] = source[row]
+    return belief, steps
 
 
-def _together(weights: Floats, states: Floats, covariances: Floats) -> tuple[Floats, Floats]:
-    """Mean (12,) and covariance (12, 12) of weighted models, the spread of their means included."""
-    mean: Floats = weights @ states
-    off = states - mean
-    covariance: Floats = np.einsum("m,mij->ij", weights, covariances) + (weights[:, None] * off).T @ off
-    return mean, covariance
+def estimates(belief: Belief, stays: Floats) -> list[tuple[Pose, Floats, Velocity]]:
+    """Pose, covariance (6, 6) and velocity of n robots; ``stays`` (n, 6, 6) is added to what the filter is sure of."""
+    states, covariances = together(belief)
+    covariances[:, :6, :6] += stays
+    rotations = exp_rotations(states[:, 3:6]) @ belief.rotations
+    told, spreads = twists(rotations, states, covariances)
+    pushes = (belief.weights @ np.maximum(MANNERS.along, MANNERS.across)).tolist()
+    swerves = (belief.weights @ np.maximum(MANNERS.yaw, MANNERS.tilt)).tolist()
+    return [
+        (
+            Pose.from_matrix(rotations[k], states[k, :3]),
+            covariances[k, :6, :6].copy(),
+            Velocity(told[k, :3], told[k, 3:], spreads[k], (pushes[k], swerves[k])),
+        )
+        for k in range(len(states))
+    ]

@@ -4,7 +4,7 @@ import argparse
 import importlib
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +20,10 @@ from asterism.recordings.export.ros_bag import write_bag
 from asterism.recordings.export.tum_files import write_tum
 from asterism.recordings.export.written import Written
 from asterism.recordings.reader import Recording
+from asterism.server.command.exported_smooth import smoothed_frames
 from asterism.server.command.exported_truth import write_truth
 from asterism.server.command.progress import progress
-from asterism.server.command.shared_arguments import add_out, named
+from asterism.server.command.shared_arguments import BOTH_WAYS, add_out, named
 from asterism.server.output import Output, check_file, check_folder, new_file, new_folder
 from asterism.server.service.say import say
 
@@ -31,6 +32,7 @@ EXAMPLES = (
     "asterism export RECORDING --to tum -o trajectories\n"
     "asterism export RECORDING --to parquet -o poses.parquet\n"
     "asterism export RECORDING --to rosbag2 -o bag\n"
+    "asterism export RECORDING --to csv -o tables --smooth both\n"
     "asterism export --from survey.csv --to truth -o truth.jsonl\n"
 )
 
@@ -62,6 +64,11 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
         type=named,
         help="a spreadsheet of surveyed poses, into the JSON lines that --truth takes",
     )
+    part.add_argument(
+        "--smooth",
+        choices=(BOTH_WAYS,),
+        help="join poses to those before and after by a motion model, with velocities, and label them so",
+    )
     part.add_argument("--images", action="store_true", help="into the bag as well, with CameraInfo")
     add_out(part, "OUT", "a new or empty folder (csv, tum, rosbag2) or a file (parquet, truth)")
 
@@ -72,6 +79,8 @@ def run(options: argparse.Namespace) -> int:
     if options.survey is not None:
         return write_truth(options.survey, options.out, options.force)
     exported = _read(options.recording, options.images)
+    if options.smooth:
+        exported = replace(exported, frames=smoothed_frames(exported.frames, exported.rigs, options.recording))
     with _output(options) as output:
         written = _write(options, exported, output.path)
         _refuse_none(options.recording, written)
@@ -97,6 +106,8 @@ def _check(options: argparse.Namespace) -> None:
         raise InputError(f"--to {options.to}: expected --to {TRUTH} with --from, --to {'|'.join(FORMATS)} without")
     if options.images and options.to != "rosbag2":
         raise InputError(f"--images: {options.to} holds no images, expected --to rosbag2")
+    if options.smooth and (options.recording is None or options.recording.suffix == SUFFIX):
+        raise InputError("--smooth: only a recording tells what smoothing has to know, expected a recording's folder")
     if options.to == "rosbag2" and options.recording.suffix == SUFFIX:
         raise InputError(f"{options.recording}: lines tell no frames and no rig, expected a recording's folder")
     if options.to == "parquet" and options.out.suffix != ".parquet":

@@ -12,17 +12,20 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import msgspec
+import numpy as np
 
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Pose
+from asterism.protocol.messages import Velocity
 from asterism.protocol.rig import Rig, load_rig
 from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.chain.pipeline import localize
-from asterism.server.chain.smooth import Motions, smooth
+from asterism.server.chain.smooth import Motions, SmoothedPose, smooth
+from asterism.server.chain.smooth_both import smooth_both
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.fitted_rig import open_fitting
 from asterism.server.command.number_arguments import bits
-from asterism.server.command.shared_arguments import FINITE_SOURCE, add_out, add_smoothing, add_topic
+from asterism.server.command.shared_arguments import BOTH_WAYS, FINITE_SOURCE, add_out, add_smoothing_ways, add_topic
 from asterism.server.output import check_file, new_file
 from asterism.server.pose.solve import PoseEstimate
 from asterism.server.pose.track import Tracks
@@ -37,7 +40,10 @@ from asterism.server.sources.source import Source
 EXAMPLES = (
     "asterism locate rig.yaml frames/ -o poses.jsonl\n"
     "asterism locate rig.yaml 'frames/*.png' -o poses.jsonl --independent\n"
+    "asterism locate rig.yaml frames/ -o poses.jsonl --smooth both\n"
 )
+
+NO_IMAGE = np.empty((0, 0), np.uint8)
 
 _LOG = logging.getLogger(__name__)
 
@@ -55,7 +61,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
         type=bits,
         help="of 16-bit images that are the camera's (default: the rig's, or what is seen)",
     )
-    add_smoothing(part)
+    add_smoothing_ways(part)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -76,13 +82,9 @@ def run(options: argparse.Namespace) -> int:
     adviser = Adviser(rig, tally, say)
     with _output(options.out, options.force) as out:
         with stop_on_signals(stop), _live_line(options.out, source, tally):
-            for frame, result in _located(source.frames(), rig, options.independent, options.smooth):
+            located = _watched(_located(source.frames(), rig, options.independent), tally, adviser, stop)
+            for frame, result in _smoothed(located, rig, options.smooth):
                 out.write(encoder.encode(line(frame, result)) + b"\n")
-                _log(frame, result)
-                tally.add(frame, result)
-                adviser.look()
-                if stop():
-                    break
         _tell(source, tally, adviser, stop())
         if stop():
             raise KeyboardInterrupt  # so that half of it does not stand under the name of the whole
@@ -97,17 +99,42 @@ def _tell(source: Source, tally: Tally, adviser: Adviser, stopped: bool) -> None
         say(told)
 
 
-def _located(
-    frames: Iterator[Frame], rig: Rig, independent: bool, smoothed: bool
-) -> Iterator[tuple[Frame, FrameResult]]:
-    tracks, motions = Tracks.none(), Motions.none()
+def _located(frames: Iterator[Frame], rig: Rig, independent: bool) -> Iterator[tuple[Frame, FrameResult]]:
+    tracks = Tracks.none()
     for frame in frames:
         result, after = localize(frame, rig, tracks)
         if not independent:
             tracks = after
-        if smoothed:
-            result, motions = smooth(result, motions)
         yield frame, result
+
+
+def _watched(
+    located: Iterator[tuple[Frame, FrameResult]], tally: Tally, adviser: Adviser, stop: Stop
+) -> Iterator[tuple[Frame, FrameResult]]:
+    """The same, counted and looked at, until it is to stop."""
+    for frame, result in located:
+        _log(frame, result)
+        tally.add(frame, result)
+        adviser.look()
+        yield frame, result
+        if stop():
+            return
+
+
+def _smoothed(
+    located: Iterator[tuple[Frame, FrameResult]], rig: Rig, way: str | None
+) -> Iterator[tuple[Frame, FrameResult]]:
+    if way is None:
+        yield from located
+    elif way == BOTH_WAYS:
+        # Frames wait for some seconds: without their images.
+        light = ((replace(frame, image=NO_IMAGE), result) for frame, result in located)
+        yield from smooth_both(light, rig)
+    else:
+        motions = Motions.none()
+        for frame, result in located:
+            smoothed, motions = smooth(result, motions, rig)
+            yield frame, smoothed
 
 
 def _live_line(out: Path, source: Source, tally: Tally) -> AbstractContextManager[object]:
@@ -139,7 +166,7 @@ def line(frame: Frame, result: FrameResult) -> dict[str, Any]:
         alternative = None
         if answer.alternative is not None:
             alternative = {**_pose(answer.alternative.pose), "odds": answer.alternative.odds}
-        told = {
+        told: dict[str, Any] = {
             "id": robot,
             "state": answer.state,
             **_pose(answer.pose),
@@ -150,6 +177,8 @@ def line(frame: Frame, result: FrameResult) -> dict[str, Any]:
         }
         if answer.smoothed_by:
             told |= {"smoothed": True, "filter": answer.smoothed_by}
+        if isinstance(answer, SmoothedPose) and answer.velocity is not None:
+            told["velocity"] = _velocity(answer.velocity)
         if answer.extrapolated:
             told["extrapolated"] = True
         robots.append(told)
@@ -158,6 +187,15 @@ def line(frame: Frame, result: FrameResult) -> dict[str, Any]:
 
 def _pose(pose: Pose) -> dict[str, list[float]]:
     return {"position": pose.position.tolist(), "orientation": pose.orientation.tolist()}
+
+
+def _velocity(velocity: Velocity) -> dict[str, list[float]]:
+    """In the robot's own frame, m/s and rad/s."""
+    return {
+        "linear": velocity.linear.tolist(),
+        "angular": velocity.angular.tolist(),
+        "covariance": velocity.covariance.ravel().tolist(),
+    }
 
 
 @contextlib.contextmanager

@@ -10,6 +10,7 @@ FILES = "a folder or glob of images, a video, a recording, an MCAP file or a ROS
 CAMERA_OR_FILES = f"a camera (0, /dev/video0 or a link, genicam:SERIAL, zenoh:KEY, ros2:TOPIC), {FILES}"
 SOURCE = f"{CAMERA_OR_FILES}, or sim"
 FINITE_SOURCE = FILES
+FORWARD, BOTH_WAYS = "forward", "both"  # of `--smooth`
 
 
 def add_topic(part: argparse.ArgumentParser) -> None:
@@ -61,6 +62,26 @@ def add_smoothing(part: argparse.ArgumentParser) -> None:
     part.add_argument(
         "--smooth", action="store_true", help="join poses to those before by a motion model, and label them so"
     )
+
+
+def add_smoothing_ways(part: argparse.ArgumentParser) -> None:
+    """The same where what comes after a frame is known as well."""
+    part.add_argument(
+        "--smooth",
+        metavar="forward|both",
+        nargs="?",
+        const=FORWARD,
+        type=_way,
+        help="join poses to those before by a motion model (both: and to those after), and label them so",
+    )
+
+
+def _way(text: str) -> str:
+    if text not in (FORWARD, BOTH_WAYS):
+        raise argparse.ArgumentTypeError(
+            f"{text!r}, expected nothing, {FORWARD} or {BOTH_WAYS}; RIG and SOURCE go before --smooth"
+        )
+    return text
 
 
 def add_out(part: argparse.ArgumentParser, metavar: str, what: str, required: bool = True) -> None:

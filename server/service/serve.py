@@ -200,7 +200,7 @@ class Run:
             silent_s = 0.0
             result, tracks = localize(frame, self.rig, tracks)
             if smoothed:
-                result, motions = smooth(result, motions)
+                result, motions = smooth(result, motions, self.rig)
             solved_ns = self.clock.now_ns(frame.session)
             messages = publisher.publish(report(frame, result, self.rig, solved_ns), frame.session)
             located = (robot for robot, answer in result.answers.items() if isinstance(answer, PoseEstimate))

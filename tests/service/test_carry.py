@@ -29,7 +29,7 @@ def remembered(frames: list[Frame]) -> tuple[Tracks, Motions]:
     tracks, motions = Tracks.none(), Motions.none()
     for frame in frames[:BEFORE]:
         result, tracks = localize(frame, RIG, tracks)
-        _, motions = smooth(result, motions)
+        _, motions = smooth(result, motions, RIG)
     assert (tracks.seen_ns[1:] > 0).all() or (tracks.seen_ns > 0).sum() >= 3
     return tracks, motions
 

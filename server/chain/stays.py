@@ -1,0 +1,57 @@
+"""What of a pose's covariance stays the same from frame to frame, and so does not average out.
+
+A pose's covariance holds errors of three kinds. Where the camera stands (`world: {follow: true}`) and what a correction
+of Z leaves are added to it as they are, and are taken out as they are. The rest is carried through the pose from
+its spots, each of which is off by its own noise, new in every frame, and by what the rig has wrong of its LED.
+The second is learned frame by frame (`FrameResult.learned`), and by both variances the rest is divided.
+
+What is not known of an LED's light (`led_doubt`) and light beside all LEDs (`common_shift`) are counted as noise.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from asterism.protocol.geometry import Floats, Pose
+from asterism.protocol.rig import Rig
+from asterism.server.chain.turns import hats
+from asterism.server.pose.track import LEAST_SHARE
+
+
+class Told(NamedTuple):
+    """What a frame tells of n poses: ``positions`` (n, 3) m, ``covariances`` (n, 6, 6), the mean variance of a
+    coordinate of their spots, ``own_px2`` (n,), and how far off the rig has their LEDs, ``misfits`` (n,) m, 0 where
+    that is not known.
+    """
+
+    positions: Floats
+    covariances: Floats
+    own_px2: Floats
+    misfits: Floats
+
+
+def what_stays(told: Told, rig: Rig, camera: tuple[Pose, Floats] | None = None) -> Floats:
+    """The part (n, 6, 6) of the covariances that is the same in the next frame; ``camera`` is T_world_camera with its
+    covariance (6, 6) where the camera's place is followed.
+    """
+    T = camera[0] if camera is not None else rig.T_world_camera or Pose.identity()
+    from_camera = told.positions - T.position
+    by_rig = np.zeros_like(told.covariances)
+    if rig.z_correction is not None:
+        along = T.rotation[:, 2]
+        corrected = from_camera @ T.rotation
+        before = corrected.copy()
+        for _ in range(2):  # it was looked up where the poses were without it
+            before[:, 2] = corrected[:, 2] - rig.z_correction.at(before).dz
+        variances = rig.z_correction.at(before).variances
+        by_rig[:, :3, :3] += variances[:, None, None] * np.outer(along, along)
+    if camera is not None:
+        by_place = np.tile(np.eye(6), (len(from_camera), 1, 1))
+        by_place[:, :3, 3:] = -hats(from_camera)
+        by_rig += by_place @ camera[1] @ np.swapaxes(by_place, 1, 2)
+    focal = np.sqrt(rig.camera.matrix[0, 0] * rig.camera.matrix[1, 1])
+    depths = from_camera @ T.rotation[:, 2]
+    misfit_px2 = np.square(told.misfits * focal / depths)
+    share = np.maximum(told.own_px2 / (told.own_px2 + misfit_px2), LEAST_SHARE)
+    stays: Floats = by_rig + (1.0 - share)[:, None, None] * (told.covariances - by_rig)
+    return stays
