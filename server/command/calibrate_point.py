@@ -149,8 +149,8 @@ def _shares(found: PointCalibration, uncertainty: Uncertainty, robot: str, lens:
     noise = np.sqrt(np.diag(found.by_noise))
     told = lens.told_by if lens.told_by == "assumed" else f"by {lens.told_by}"
     return (
-        f"of that the spots' noise: {_mm(noise)} mm; the rest is what all frames share: LEDs {1e3 * leds.position_m:g} "
-        f"mm off an axis ({leds.by}), the lens ({told})"
+        f"of that the spots' noise: {_mm(noise)} mm; the rest is what all frames share: LEDs "
+        f"{1e3 * leds.position_m:.2g} mm off an axis ({leds.by}), the lens ({told})"
     )
 
 
