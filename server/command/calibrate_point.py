@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from asterism.protocol.errors import InputError
@@ -132,11 +133,11 @@ def _tell(found: PointCalibration, options: argparse.Namespace, frames: int, old
         f"from one tenth of the film to the next the place wanders by {1e3 * found.wander_m:.3f} mm (RMS, noise taken "
         f"off): {'more than by chance, so sigmas are larger' if found.wanders else 'no more than by chance'}",
     ]
-    console.print("\n".join(lines), highlight=False)
+    console.print("\n".join(lines), highlight=False, markup=False)
     table = Table(box=None, header_style="bold", padding=(0, 1))
     for name in ("point", "x mm", "y mm", "z mm", "sigma x", "sigma y", "sigma z"):
         table.add_column(name, justify="left" if name == "point" else "right", no_wrap=True)
-    table.add_row(options.name, *_mm(found.point).split(), *_mm(found.sigmas).split())
+    table.add_row(escape(options.name), *_mm(found.point).split(), *_mm(found.sigmas).split())
     if old is not None:
         table.add_row("was", *_mm(old).split())
         table.add_row("moved by", *(f"{value:+.4f}" for value in 1e3 * (found.point - old)))
