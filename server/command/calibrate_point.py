@@ -71,8 +71,8 @@ def run(options: argparse.Namespace) -> int:
     parse_rig(text, rig.camera_text, str(options.out), rig.offset_texts)
     text = relocate(text, Path(options.rig), options.out)
     kept = write_result_file(options.out, text, options.force)
-    _tell(found, options, frames, rig.robot(options.robot).points.get(options.name))
-    print(_shares(found, uncertainty, options.robot, lens))
+    old = rig.robot(options.robot).points.get(options.name)
+    _tell(found, options, frames, old, _shares(found, uncertainty, options.robot, lens))
     for line in _warnings(found, options.robot):
         say(line)
     print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else ""))
@@ -116,7 +116,8 @@ def _turned(found: PointCalibration) -> str:
     return f"{most:.0f} and {least:.0f} degrees (RMS) about two axes"
 
 
-def _tell(found: PointCalibration, options: argparse.Namespace, frames: int, old: Floats | None) -> None:
+def _tell(found: PointCalibration, options: argparse.Namespace, frames: int, old: Floats | None, shares: str) -> None:
+    """Frames, motion, residuals; the point with its sigmas, beside the ``old`` one; where the sigmas come from."""
     console = Console()
     if not console.is_terminal:
         console = Console(width=160)
@@ -142,6 +143,7 @@ def _tell(found: PointCalibration, options: argparse.Namespace, frames: int, old
         table.add_row("was", *_mm(old).split())
         table.add_row("moved by", *(f"{value:+.4f}" for value in 1e3 * (found.point - old)))
     console.print(table)
+    console.print(shares, highlight=False, markup=False)
 
 
 def _shares(found: PointCalibration, uncertainty: Uncertainty, robot: str, lens: LensError) -> str:
