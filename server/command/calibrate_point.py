@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from asterism.protocol.errors import InputError
@@ -70,8 +71,8 @@ def run(options: argparse.Namespace) -> int:
     parse_rig(text, rig.camera_text, str(options.out), rig.offset_texts)
     text = relocate(text, Path(options.rig), options.out)
     kept = write_result_file(options.out, text, options.force)
-    _tell(found, options, frames, rig.robot(options.robot).points.get(options.name))
-    print(_shares(found, uncertainty, options.robot, lens))
+    old = rig.robot(options.robot).points.get(options.name)
+    _tell(found, options, frames, old, _shares(found, uncertainty, options.robot, lens))
     for line in _warnings(found, options.robot):
         say(line)
     print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else ""))
@@ -115,7 +116,8 @@ def _turned(found: PointCalibration) -> str:
     return f"{most:.0f} and {least:.0f} degrees (RMS) about two axes"
 
 
-def _tell(found: PointCalibration, options: argparse.Namespace, frames: int, old: Floats | None) -> None:
+def _tell(found: PointCalibration, options: argparse.Namespace, frames: int, old: Floats | None, shares: str) -> None:
+    """Frames, motion, residuals; the point with its sigmas, beside the ``old`` one; where the sigmas come from."""
     console = Console()
     if not console.is_terminal:
         console = Console(width=160)
@@ -132,15 +134,16 @@ def _tell(found: PointCalibration, options: argparse.Namespace, frames: int, old
         f"from one tenth of the film to the next the place wanders by {1e3 * found.wander_m:.3f} mm (RMS, noise taken "
         f"off): {'more than by chance, so sigmas are larger' if found.wanders else 'no more than by chance'}",
     ]
-    console.print("\n".join(lines), highlight=False)
+    console.print("\n".join(lines), highlight=False, markup=False)
     table = Table(box=None, header_style="bold", padding=(0, 1))
     for name in ("point", "x mm", "y mm", "z mm", "sigma x", "sigma y", "sigma z"):
         table.add_column(name, justify="left" if name == "point" else "right", no_wrap=True)
-    table.add_row(options.name, *_mm(found.point).split(), *_mm(found.sigmas).split())
+    table.add_row(escape(options.name), *_mm(found.point).split(), *_mm(found.sigmas).split())
     if old is not None:
         table.add_row("was", *_mm(old).split())
         table.add_row("moved by", *(f"{value:+.4f}" for value in 1e3 * (found.point - old)))
     console.print(table)
+    console.print(shares, highlight=False, markup=False)
 
 
 def _shares(found: PointCalibration, uncertainty: Uncertainty, robot: str, lens: LensError) -> str:
@@ -149,8 +152,8 @@ def _shares(found: PointCalibration, uncertainty: Uncertainty, robot: str, lens:
     noise = np.sqrt(np.diag(found.by_noise))
     told = lens.told_by if lens.told_by == "assumed" else f"by {lens.told_by}"
     return (
-        f"of that the spots' noise: {_mm(noise)} mm; the rest is what all frames share: LEDs {1e3 * leds.position_m:g} "
-        f"mm off an axis ({leds.by}), the lens ({told})"
+        f"of that the spots' noise: {_mm(noise)} mm; the rest is what all frames share: LEDs "
+        f"{1e3 * leds.position_m:.2g} mm off an axis ({leds.by}), the lens ({told})"
     )
 
 

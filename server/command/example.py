@@ -3,6 +3,7 @@
 import argparse
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from string import Template
 
@@ -15,7 +16,7 @@ from asterism.server.calibration.lens.camera_file import camera_text
 from asterism.server.command.number_arguments import whole
 from asterism.server.command.shared_arguments import add_force, named
 from asterism.server.output import new_folder
-from asterism.server.simulation.measured_rig import BOARD, TRUTH_MARK, MeasuredRig, draw_rig
+from asterism.server.simulation.measured_rig import BOARD, TOOL, TRUTH_MARK, MeasuredRig, draw_rig
 
 EXAMPLES = "asterism example try\nasterism example try2 --seed 2\n"
 
@@ -68,7 +69,7 @@ def _true_text(rig: MeasuredRig, robot: Robot, world: bool) -> str:
     if world and place is not None:
         lines += ["world:                              # T_world_camera"]
         lines += [f"  position: {_row(place.position, 6)}", f"  orientation: {_row(place.orientation, 9)}"]
-    return "\n".join([*lines, *_robot(robot, robot.leds, 7, "m, to a tenth of a micrometre")]) + "\n"
+    return "\n".join([*lines, *_robot(robot, 7, "m, to a tenth of a micrometre")]) + "\n"
 
 
 def _rig_text(rig: MeasuredRig) -> str:
@@ -77,7 +78,8 @@ def _rig_text(rig: MeasuredRig) -> str:
         "camera: camera.yaml                 # there is none yet: asterism calibrate camera makes it",
         _range(rig),
     ]
-    return "\n".join([*lines, *_robot(rig.true.robots[0], rig.ruler, 4, "m, read to half a millimetre")]) + "\n"
+    drawn = replace(rig.true.robots[0], leds=rig.ruler, points={"tool": np.array(TOOL)})
+    return "\n".join([*lines, *_robot(drawn, 4, "m, read to half a millimetre")]) + "\n"
 
 
 def _board_text() -> str:
@@ -90,12 +92,12 @@ def _range(rig: MeasuredRig) -> str:
     return f"range: [{near:g}, {far:g}]                   # working distances, m"
 
 
-def _robot(robot: Robot, leds: Floats, digits: int, remark: str) -> list[str]:
+def _robot(robot: Robot, digits: int, remark: str) -> list[str]:
     lines = ["robots:", f"  {robot.id}:", f"    leds:                           # {remark}"]
-    lines += [f"      - {_row(led, digits)}" for led in leds]
+    lines += [f"      - {_row(led, digits)}" for led in robot.leds]
     lines.append(f"    led: {{radius: {robot.led_radius:g}}}           # of the light that is seen, m")
     if robot.points:
-        points = ", ".join(f"{name}: {_row(place, 3)}" for name, place in robot.points.items())
+        points = ", ".join(f"{name}: {_row(place, digits)}" for name, place in robot.points.items())
         lines.append(f"    points: {{{points}}}")
     return lines
 

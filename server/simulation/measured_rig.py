@@ -24,6 +24,7 @@ PLATE = (
 )  # fmt: skip
 BOARD = ((-0.12, -0.09), (0.12, -0.09), (0.12, 0.06), (0.03, 0.09), (-0.12, 0.09), (-0.02, -0.03))
 PLATE_HEIGHT_M = 0.012  # above the robot's origin
+TOOL = (0.0, 0.0, -0.03)  # the tip of the robot's tool as it was drawn, m
 LED_RADIUS_M = 0.0025
 RANGE_M = (0.8, 1.5)
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 1280, 1024, 1400.0
@@ -36,12 +37,14 @@ SOLDERED_M = 0.03e-3  # of the board's LEDs, per axis in the board
 RULER_M, RULER_MARK_M = 0.35e-3, 0.5e-3  # of laying on a ruler, per axis; what it is read to
 CALIPERS_M, CALIPERS_MARK_M = 0.02e-3, 0.01e-3
 FOCAL_SHARE, MIDDLE_PX = 0.01, 8.0  # of the lens as it was bought: focal length; principal point per axis
+CLAMPED_M = 0.5e-3  # of the tool's tip from where it was drawn, per axis
 HUNG_M, HUNG_RAD = 0.02, 0.03  # of the camera from straight above the world's origin, per axis
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredRig:
-    """``true``: the camera in the world, and the robot alpha. ``board`` is the true board, its drawing being BOARD.
+    """``true``: the camera in the world, and the robot alpha, whose tool was drawn to be at TOOL. ``board`` is the true
+    board, its drawing being BOARD.
 
     ``ruler`` (6, 3) m: alpha's LEDs as a ruler says. ``calipers``: the two LEDs of alpha that are farthest apart, and
     the distance that calipers say is between them, m.
@@ -58,7 +61,7 @@ def draw_rig(seed: int) -> MeasuredRig:
     rng = np.random.default_rng([seed, 6])
     camera, T_world_camera = _camera(rng), _place(rng)
     leds = _flat(PLATE, PLATE_HEIGHT_M) + rng.normal(size=(LEDS, 3)) * [DRILLED_M, DRILLED_M, UPRIGHT_M]
-    alpha = Robot("alpha", leds.round(7), led_radius=LED_RADIUS_M, points={"tool": np.array([0.0, 0.0, -0.03])})
+    alpha = Robot("alpha", leds.round(7), led_radius=LED_RADIUS_M, points={"tool": _tool(seed)})
     board = _flat(BOARD, 0.0) + rng.normal(size=(LEDS, 3)) * [SOLDERED_M, SOLDERED_M, 0.0]
     return MeasuredRig(
         Rig(camera, (alpha,), RANGE_M, T_world_camera=T_world_camera),
@@ -66,6 +69,12 @@ def draw_rig(seed: int) -> MeasuredRig:
         _by_ruler(alpha.leds, rng),
         _by_calipers(alpha.leds, rng),
     )
+
+
+def _tool(seed: int) -> Floats:
+    """Where the tool's tip really is, clamped by hand."""
+    rng = np.random.default_rng([seed, 8])
+    return np.array((np.array(TOOL) + CLAMPED_M * rng.normal(size=3)).round(7))
 
 
 def _flat(drawn: tuple[tuple[float, float], ...], height: float) -> Floats:

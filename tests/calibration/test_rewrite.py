@@ -7,7 +7,7 @@ from ruamel.yaml import YAML
 
 from asterism.protocol.errors import InputError
 from asterism.protocol.rig import parse_rig
-from asterism.server.calibration.rewrite import relocate, rewrite, without
+from asterism.server.calibration.rewrite import annotate, relocate, rewrite, without
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.protocol.test_rig import RIG
 
@@ -135,3 +135,12 @@ def test_a_key_is_taken_out_with_its_block_and_nothing_else() -> None:
     assert without(head + tail + block.rstrip("\n"), "z_correction") == head + tail
     assert without(head + tail, "z_correction") == head + tail
     assert without(head + "z_correction: {kind: plane}\n" + tail, "z_correction") == head + tail
+
+
+def test_every_tag_has_its_own_lines_above_a_key() -> None:
+    """And a person's lines stay, wherever among them they stand."""
+    text = "a:\n  # mine\n  b: {c: 1, d: 2}\n"
+    for _ in range(2):
+        for tag, key in (("first", "c"), ("second", "d")):
+            text = annotate(text, ("a", "b", key), tag, [f"of {key}"])
+    assert text == "a:\n  # mine\n  # first: of c\n  # second: of d\n  b: {c: 1, d: 2}\n"

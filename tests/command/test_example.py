@@ -17,7 +17,7 @@ from tests.command.pasting import commands_of, paste
 from tests.command.test_command_line import refused
 from tests.servers import asterism
 
-FEWER = {"60": "24", "150": "40", "20": "6"}  # frames
+FEWER = {"60": "24", "150": "40", "20": "6", "100": "24"}  # frames
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +115,7 @@ def test_nothing_measured_replaces_its_truth(folder: Path, capsys: pytest.Captur
         ["leds", folder / "true.yaml", "film", *leds, "-o", folder / "true.yaml"],
         ["world", folder / "true.yaml", "film", "--truth", "truth.jsonl", "-o", folder / "true.yaml"],
         ["z", folder / "true.yaml", "film", "--truth", "truth.jsonl", "-o", folder / "true.yaml"],
+        ["point", folder / "true.yaml", "film", "--robot", "alpha", "--name", "tool", "-o", folder / "true.yaml"],
     ):
         for force in ([], ["--force"]):
             assert "holds the truth of a simulation" in refused(capsys, "calibrate", *words, *force)
@@ -154,3 +155,9 @@ def test_its_readme_can_be_pasted(folder: Path, monkeypatch: pytest.MonkeyPatch)
     assert (off["rig4"] < [0.2e-3, 0.2, 0.02e-3]).all()
     assert (off["rig3"] < [5e-3, 3.0, 0.5e-3]).all()
     assert (off["rig4"] < off["rig3"]).all()
+    before, after = (
+        np.abs(load_rig(folder / f"{name}.yaml").robots[0].points["tool"] - true.robots[0].points["tool"]).max()
+        for name in ("rig4", "rig5")
+    )
+    assert after < 0.06e-3
+    assert before > 0.2e-3

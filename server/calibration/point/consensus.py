@@ -46,7 +46,7 @@ def _guess(views: Views, leeway_m: float) -> Guess:
     rng = np.random.default_rng(0)
     n = len(views.ts)
     judges = views.of(np.unique(np.linspace(0, n - 1, MOST_FRAMES).round().astype(np.int64)))
-    threes = rng.random((THREES, n)).argpartition(2, axis=1)[:, :3] if n > 3 else np.array([[0, 1, 2]])
+    threes = rng.integers(0, n, (THREES, 3))
     tilts = rng.integers(0, 2, threes.shape)
     tried = _solved(views.rotations[threes, tilts], views.ts[threes, tilts], np.ones(threes.shape))
     costs = np.array([np.minimum(_squares(judges, one, leeway_m).min(axis=1), AGREES).sum() for one in tried])
