@@ -14,8 +14,13 @@ MOST_ROWS = 8  # of robots, before table and states scroll
 _BACKGROUND = rrb.Background(color=[38, 42, 50], kind=rrb.BackgroundKind.SolidColor)
 
 
-def blueprint(rig: Rig) -> rrb.Blueprint:
-    """Camera and space above; below them the robots in numbers, their states, and a tab of plots for each."""
+def review_blueprint(rig: Rig) -> rrb.Blueprint:
+    """As for a running server, and a tab of events."""
+    return blueprint(rig, rrb.TextLogView(origin="events", name="events"))
+
+
+def blueprint(rig: Rig, *more: rrb.View) -> rrb.Blueprint:
+    """Camera and space above; below them the robots in numbers, their states, a tab of plots for each, and ``more``."""
     rows = min(len(rig.robots), MOST_ROWS)
     return rrb.Blueprint(
         rrb.Vertical(
@@ -28,7 +33,7 @@ def blueprint(rig: Rig) -> rrb.Blueprint:
                 ),
                 rrb.Tabs(
                     *(_robot_plots(robot.id) for robot in rig.robots),
-                    rrb.TextLogView(origin="events", name="events"),
+                    *more,
                 ),
                 column_shares=[4, 7],
             ),

@@ -20,7 +20,7 @@ import numpy as np
 import rerun.blueprint as rrb
 
 from asterism.protocol.rig import Rig
-from asterism.recordings.layout import blueprint, camera_view, space_view
+from asterism.recordings.layout import camera_view, review_blueprint, space_view
 from asterism.recordings.reader import Recording
 from asterism.server.command.review import write_rrd
 
@@ -31,7 +31,7 @@ MENU_PX = 37
 def main(recording: Recording, folder: Path, frame: int | None) -> None:
     """Draw the recording twice, and take a picture of each."""
     with tempfile.TemporaryDirectory() as made:
-        for name, views, size in (("review", blueprint, "1600x1000"), ("robots", robots_alone, "1600x680")):
+        for name, views, size in (("review", review_blueprint, "1600x1000"), ("robots", robots_alone, "1600x680")):
             file = Path(made) / f"{name}.rrd"
             write_rrd(recording, file, views)
             (folder / f"{name}.png").write_bytes(picture(file, size, frame))

@@ -18,7 +18,7 @@ from asterism.protocol.messages import EVENT, FRAME_REPORT, IMAGE
 from asterism.protocol.rig import Rig
 from asterism.recordings.decodable import read_event, read_report
 from asterism.recordings.drawing import APPLICATION, Drawing
-from asterism.recordings.layout import blueprint
+from asterism.recordings.layout import review_blueprint
 from asterism.recordings.reader import Recording
 from asterism.server.command.progress import progress
 from asterism.server.command.shared_arguments import add_out, add_recording
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
         return subprocess.run([sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(file)], check=False).returncode
 
 
-def write_rrd(recording: Recording, out: Path, views: Callable[[Rig], rrb.Blueprint] = blueprint) -> None:
+def write_rrd(recording: Recording, out: Path, views: Callable[[Rig], rrb.Blueprint] = review_blueprint) -> None:
     """Draw a whole recording into a rerun file, its ``views`` laid out for the rig that was in force last."""
     rigs = deque(recording.rigs())
     layout = views(rigs[-1][1])

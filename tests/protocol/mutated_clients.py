@@ -11,13 +11,16 @@ import numpy as np
 
 from asterism.clients import feed
 from asterism.clients.age import SessionAge
+from asterism.clients.event_feed import EventReader
 from asterism.clients.json_lines import JsonLines
 from asterism.clients.link_state import Link, LinkState
 from asterism.clients.received_pose import ReceivedPose, clock_ns
+from asterism.clients.robot_event import RobotEvent
 from asterism.clients.robot_feed import RobotFeed
 from asterism.clients.server_state import ServerState
+from asterism.clients.servers import Servers
 from asterism.clients.watched import RobotTable
-from asterism.protocol.codec import decode_beat, decode_rig, decode_status, encode_odometry
+from asterism.protocol.codec import decode_beat, decode_event, decode_rig, decode_status, encode_odometry
 from asterism.protocol.errors import InputError
 from tests.protocol import make_golden
 
@@ -107,7 +110,8 @@ def _shown(table: RobotTable, width: int) -> None:
 def report(payload: bytes) -> None:
     """A frame's report into the live table, and as a line of JSON."""
     sample = _sample(payload, "asterism/cam/frame")
-    lines, table = JsonLines(), RobotTable()
+    table = RobotTable()
+    lines = JsonLines((), "", table.servers)
     lines._frame(sample)
     line = lines.next(0.0)
     assert line is not None
@@ -122,6 +126,23 @@ def status(payload: bytes) -> None:
     table._health(_sample(payload, "asterism/cam/status"))
     decode_status(payload)
     _shown(table, 100)
+
+
+def event(payload: bytes) -> None:
+    """What happened, to a client and as a line of JSON. Raises InputError for what is no event."""
+    servers, taken = Servers(""), list[RobotEvent]()
+    reader, lines = EventReader(servers, taken.append), JsonLines((), "", servers)
+    reader.read(payload, "cam")
+    for one in taken:
+        assert not math.isnan(one.age_s)
+        assert one.lasted_s >= 0.0
+        assert one.sentence
+    lines._event(_sample(payload, "asterism/cam/event"))
+    line = lines.next(0.0)
+    assert line is not None
+    assert line.isprintable()
+    assert len(taken) == 1 - reader.refused
+    decode_event(payload)
 
 
 def beat(payload: bytes) -> None:

@@ -173,7 +173,7 @@ def _stack() -> bytes:
 _PNGS = (_encoded(".png"), _encoded(".png", "uint16"), _encoded(".png", channels=3))
 _JPEGS = (_encoded(".jpg"), _encoded(".jpg", channels=3), _encoded(".jpg", options=_PROGRESSIVE))
 _TIFFS = (_encoded(".tiff", "uint16"), _encoded(".tiff", channels=3), _stack())
-_REPORTS = (to_bytes(make_golden.frame_report()),)
+_REPORTS = (to_bytes(make_golden.frame_report()), to_bytes(make_golden.smoothed_report()))
 TARGETS = {
     "rig": Target(_rig, (RIG, CORRECTED), mutated_yaml, 400, 12),
     "camera": Target(_camera, (CAMERA, FISHEYE), mutated_yaml, 400, 12),
@@ -185,6 +185,7 @@ TARGETS = {
     "pose": Target(mutated_clients.pose, mutated_clients.poses(), mutated_message, 5000, 210),
     "report": Target(mutated_clients.report, _REPORTS, mutated_message, 2700, 140),
     "status": Target(mutated_clients.status, (to_bytes(make_golden.status()),), mutated_message, 1000, 40),
+    "event": Target(mutated_clients.event, (to_bytes(make_golden.event()),), mutated_message, 1000, 40),
     "beat": Target(mutated_clients.beat, (to_bytes(make_golden.beat()),), mutated_message, 1000, 40),
     "rig_report": Target(mutated_clients.rig_report, (to_bytes(make_golden.rig_report()),), mutated_message, 1000, 40),
     "png": Target(_in_a_file(_image, ".png"), _PNGS, mutated_png, 900, 80),

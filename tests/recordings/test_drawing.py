@@ -12,16 +12,22 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from asterism.protocol import asterism_pb2 as pb
-from asterism.protocol.codec import set_report_pose
+from asterism.protocol import keys
+from asterism.protocol.codec import set_report_pose, to_bytes
+from asterism.protocol.event_text import sentence
 from asterism.protocol.geometry import Floats, Pose, exp_rotation
+from asterism.protocol.messages import EVENT, Message
 from asterism.protocol.rig import Rig, Robot, load_rig
 from asterism.recordings.drawing import Drawing
-from asterism.recordings.layout import blueprint
+from asterism.recordings.layout import blueprint, review_blueprint
 from asterism.recordings.plates import RIM, plate_outline, roll_pitch_yaw_deg
 from asterism.recordings.png_image import png
+from asterism.recordings.reader import Recording
+from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.server.command.review import write_rrd
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.helpers import random_pose, random_rotation
+from tests.protocol import make_golden
 from tests.recordings.reloaded import record_reloaded
 
 STEP_NS = 16_666_667
@@ -246,6 +252,19 @@ def test_every_view_shows_what_is_logged_and_names_its_unit(rig: Rig, tmp_path: 
         assert {line.rpartition(", ")[2] for line in lines} == {str(view.name).rpartition(", ")[2]}
         # One line needs no legend; two are told apart by their colours.
         assert len(lines) == (2 if view.origin == "plots/latency" else 1)
+
+
+def test_events_are_written_down_as_sentences_in_a_review(tmp_path: Path) -> None:
+    rig, happened = load_rig(DEMO_RIG), make_golden.event()
+    recorder = Recorder(tmp_path, rig, "test", FramesKept(0), wait=True)
+    message = Message(keys.event("demo"), EVENT, to_bytes(happened), happened.since_ns, happened.since_ns, 42)
+    recorder.write([message], None, message.log_ns, 42)
+    recorder.close({})
+    write_rrd(Recording(recorder.folder), tmp_path / "out.rrd")
+    logged = contents(tmp_path / "out.rrd")["/events"]
+    assert logged["TextLog:text"] == [(42, [sentence(happened)])]
+    assert logged["TextLog:level"] == [(42, ["WARN"])]
+    assert "events" in {str(view.origin) for view in views(review_blueprint(rig).root_container)}
 
 
 def test_a_robot_that_joined_by_a_reload_is_drawn_and_one_that_left_is_not(tmp_path: Path) -> None:
