@@ -38,8 +38,8 @@ def ros_place(options: argparse.Namespace, rig: Rig) -> names.RosPlace | None:
             )
         if robot.id in ("world", rig.camera.name):
             raise InputError(
-                f"--ros2: the robot {robot.id!r} has the name of a frame that is there, expected another: frames of ROS "
-                f"are world, {rig.camera.name} and the robots"
+                f"--ros2: the robot {robot.id!r} has the name of a frame that is there, expected another: frames of "
+                f"ROS are world, {rig.camera.name} and the robots"
             )
         topic = names.odom_topic(options.ros_namespace or "", robot.id)
         if len(topic) > names.LONGEST_TOPIC:
