@@ -80,6 +80,11 @@ def ros_place(options: argparse.Namespace, rig: Rig) -> names.RosPlace | None:
             raise InputError(
                 f"{option}: the robot's id {robot.id!r} {problem}; it becomes part of its topics: rename it in the rig"
             )
+        if robot.id in ("world", rig.camera.name):
+            raise InputError(
+                f"--ros2: the robot {robot.id!r} has the name of a frame that is there, expected another: frames of "
+                f"ROS are world, {rig.camera.name} and the robots"
+            )
         topic = names.odom_topic(options.ros_namespace or "", robot.id)
         if len(topic) > names.LONGEST_TOPIC:
             raise InputError(
