@@ -12,7 +12,8 @@ TF_STATIC = "/tf_static"
 DIAGNOSTICS = "/diagnostics"
 
 LARGEST_DOMAIN = 232  # of DDS, whose ports are counted by it; ROS 2 takes it for all
-_LONGEST = 245  # of a namespace, and, nearly, of a topic
+LONGEST_TOPIC = 247  # characters
+_LONGEST = 245  # of a namespace
 _PART = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 _RULE = "expected letters A-Z a-z, digits and underscores, not beginning with a digit"
 

@@ -48,6 +48,19 @@ def test_robots(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert f"--ros2: the robot's id 'bravo-2' is no name for ROS, {RULE}; it becomes part of its topics" in told
 
 
+@pytest.mark.parametrize("name", ["world", "demo"])
+def test_frames_of_one_name(capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str) -> None:
+    (tmp_path / "camera.yaml").write_text((DEMO_RIG.parent / "camera.yaml").read_text())
+    (tmp_path / "rig.yaml").write_text(DEMO_RIG.read_text().replace("  bravo:", f"  {name}:"))
+    told = refusal(capsys, "serve", tmp_path / "rig.yaml", "sim", "--ros2")
+    assert f"--ros2: the robot '{name}' has the name of a frame that is there, expected another" in told
+
+
+def test_topics_that_are_too_long(capsys: pytest.CaptureFixture[str]) -> None:
+    told = refusal(capsys, "serve", DEMO_RIG, "sim", "--ros2", "--ros-namespace", "n" * 240)
+    assert "/alpha/odom has 252 characters, expected at most 247" in told
+
+
 def test_options_of_ros_without_ros(capsys: pytest.CaptureFixture[str]) -> None:
     assert "add --ros2" in refusal(capsys, "serve", DEMO_RIG, "sim", "--ros-namespace", "lab")
     assert "add --ros2 or --dds, or take images from it: ros2:TOPIC" in refusal(
@@ -59,6 +72,6 @@ def test_options_of_ros_without_ros(capsys: pytest.CaptureFixture[str]) -> None:
         pass
 
 
-@pytest.mark.parametrize("words", [("serve", DEMO_RIG), ("doctor", DEMO_RIG)])
-def test_what_is_no_topic(capsys: pytest.CaptureFixture[str], words: tuple[object, ...]) -> None:
-    assert "is no topic for ROS, expected a name such as /camera/image_raw" in refusal(capsys, *words, "ros2:/a b")
+def test_what_is_no_topic(capsys: pytest.CaptureFixture[str]) -> None:
+    told = refusal(capsys, "serve", DEMO_RIG, "ros2:/a b")
+    assert "is no topic for ROS, expected a name such as /camera/image_raw" in told

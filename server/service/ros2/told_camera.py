@@ -18,7 +18,7 @@ def difference(camera: Camera, told: CameraInfoTold) -> str | None:
 
     Raises InputError for one that is none, or that no lens model here has; drivers without one tell zeros: None.
     """
-    if not told.matrix.any():
+    if not any(told.matrix.ravel().tolist()):
         return None
     other = camera_of(told, "its calibration", camera.name)
     if (other.width, other.height) != (camera.width, camera.height):
@@ -40,8 +40,11 @@ def apart(camera: Camera, other: Camera) -> tuple[float, float]:
     pixels = np.vstack([[(camera.width - 1) / 2, (camera.height - 1) / 2], grid])
     rays, covariances = np.empty_like(pixels), np.zeros((len(pixels), 3))
     undistort(lens_of(camera), pixels, covariances, rays, covariances)
-    off = np.linalg.norm(other.project(np.column_stack([rays, np.ones(len(rays))])) - pixels, axis=1)
-    return float(off[0]), float(np.nanmax(off))
+    seen = np.isfinite(rays).all(axis=1)
+    with np.errstate(all="ignore"):  # another calibration may put rays anywhere
+        there = other.project(np.column_stack([rays[seen], np.ones(seen.sum())]))
+        off = np.nan_to_num(np.linalg.norm(there - pixels[seen], axis=1), nan=np.inf, posinf=np.inf)
+    return float(off[0]), float(off.max())
 
 
 def numbers(camera: Camera, other: Camera) -> str:

@@ -14,7 +14,8 @@ import pytest
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
-from asterism.protocol.codec import encode_odometry, to_bytes
+from asterism.protocol.codec import encode_odometry, set_report_pose, to_bytes
+from asterism.protocol.geometry import Pose
 from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message, RobotPose
 from asterism.protocol.rig import Rig
 from asterism.protocol.ros2.names import RosPlace, node_name
@@ -108,10 +109,12 @@ def pose(number: int, rng: np.random.Generator, robot: str = "alpha") -> RobotPo
     )
 
 
-def frame_of(poses: list[RobotPose]) -> list[Message]:
-    """What the server publishes of a frame with these poses."""
+def frame_of(poses: list[RobotPose], camera: Pose | None = None) -> list[Message]:
+    """What the server publishes of a frame with these poses; ``camera`` is where it is, if it is followed."""
     told = poses[0]
     report = pb.FrameReport(sequence=told.sequence, exposed_ns=told.exposed_ns, frame_id=told.frame_id)
+    if camera is not None:
+        set_report_pose(report.camera.pose, camera)
     odometry = [
         Message(keys.odometry("cam", one.robot), ODOMETRY, encode_odometry(one), one.exposed_ns, 0, one.sequence)
         for one in poses

@@ -3,17 +3,26 @@
 import contextlib
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import zenoh
 import zenoh.ext
 
+from asterism.clients import LinkState, PoseClient
+from asterism.protocol import keys
+from asterism.protocol.codec import encode_odometry
+from asterism.protocol.messages import ODOMETRY as ODOMETRY_KIND
+from asterism.protocol.messages import Message
 from asterism.protocol.network import client_config, server_config
 from asterism.protocol.ros2 import types
 from asterism.protocol.ros2.names import RosPlace
 from asterism.protocol.ros2.wire import End, NodeName, Quality, topic_key
-from tests.clients.serving import until
+from asterism.server.service.on_air import OnAir
+from asterism.server.service.ros2.outlet import Ros2
+from tests.clients.serving import COVARIANCE, until
+from tests.protocol.make_golden import ROBOT_POSE
 from tests.servers import open_router
 from tests.service.ros2.independent import FRAME, frame_of, pose, telling
 
@@ -42,8 +51,18 @@ def node(endpoint: str) -> Iterator[zenoh.Session]:
         yield session
 
 
-def test_nodes_find_the_router_that_they_wait_for_and_one_another() -> None:
-    with telling(PLACE) as (endpoint, _, _), node(endpoint) as talker, node(endpoint) as listener:
+Server = tuple[str, Ros2, OnAir]
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    """One for all: nothing that nodes do changes it."""
+    with telling(PLACE) as opened:
+        yield opened
+
+
+def test_nodes_find_the_router_that_they_wait_for_and_one_another(server: Server) -> None:
+    with node(server[0]) as talker, node(server[0]) as listener:
         heard: list[str] = []
         with listener.declare_subscriber("7/chatter/*/*", lambda sample: heard.append(str(sample.key_expr))):
             assert list(talker.info.routers_zid())
@@ -76,6 +95,28 @@ def test_a_router_of_others_carries_everything_to_their_nodes(rng: np.random.Gen
         assert heard.count(TF_STATIC) == 1  # what was told before it came
 
 
+def test_robots_hear_a_server_that_is_a_router_as_any_other(server: Server) -> None:
+    endpoint, _, air = server
+    with PoseClient(endpoint) as robots:
+        feed, clock = robots["alpha"], air.publisher.clock
+
+        def told() -> bool:
+            now = replace(
+                ROBOT_POSE,
+                covariance=COVARIANCE,
+                exposed_ns=clock.now_ns(),
+                published_ns=0,
+                session=clock.session,
+            )
+            air.publisher.publish(
+                [Message(keys.odometry("cam", "alpha"), ODOMETRY_KIND, encode_odometry(now), 0, 0, 42)]
+            )
+            return feed.wait(0.02) is not None
+
+        until(told)
+        until(lambda: robots.link.state is LinkState.LIVE)  # its beat and its rig are heard, its token is seen
+
+
 def test_without_ros_the_server_is_a_peer_as_before() -> None:
     assert server_config().get_json("mode") == '"peer"'
     assert server_config(ros_keys=[]).get_json("mode") == '"router"'
@@ -83,13 +124,9 @@ def test_without_ros_the_server_is_a_peer_as_before() -> None:
     assert (joined.get_json("mode"), joined.get_json("timestamping/enabled")) == ('"client"', "true")
 
 
-@pytest.mark.parametrize("key", [ODOM, POSE, f"{ODOM}/@adv/pub/1/2/_"])
-def test_nobody_else_publishes_poses_through_the_listener(key: str) -> None:
-    with (
-        telling(PLACE) as (endpoint, _, _),
-        zenoh.open(client_config(endpoint)) as stranger,
-        zenoh.open(client_config(endpoint)) as robot,
-    ):
+def test_nobody_else_publishes_poses_through_the_listener(server: Server) -> None:
+    endpoint, _, _ = server
+    with zenoh.open(client_config(endpoint)) as stranger, zenoh.open(client_config(endpoint)) as robot:
         heard: list[str] = []
 
         def hear(sample: zenoh.Sample) -> None:
@@ -98,8 +135,9 @@ def test_nobody_else_publishes_poses_through_the_listener(key: str) -> None:
         with robot.declare_subscriber("7/**", hear), robot.declare_subscriber("7/**/@adv/**", hear):
 
             def passes() -> bool:
-                stranger.put(key, b"false")
-                stranger.delete(key)
+                for key in (ODOM, POSE, f"{ODOM}/@adv/pub/1/2/_"):
+                    stranger.put(key, b"false")
+                    stranger.delete(key)
                 stranger.put(TF, b"its own")  # as every node may
                 return TF in heard
 
@@ -107,8 +145,9 @@ def test_nobody_else_publishes_poses_through_the_listener(key: str) -> None:
         assert set(heard) == {TF}
 
 
-def test_the_robots_hear_the_server(rng: np.random.Generator) -> None:
-    with telling(PLACE) as (endpoint, outlet, _), zenoh.open(client_config(endpoint)) as robot:
+def test_the_robots_hear_the_server(server: Server, rng: np.random.Generator) -> None:
+    endpoint, outlet, _ = server
+    with zenoh.open(client_config(endpoint)) as robot:
         heard: list[tuple[str, int]] = []
 
         def hear(sample: zenoh.Sample) -> None:
@@ -125,12 +164,9 @@ def test_the_robots_hear_the_server(rng: np.random.Generator) -> None:
         assert {length for _, length in heard} == {33}
 
 
-def test_nobody_else_holds_their_tokens_or_answers_for_them() -> None:
-    with (
-        telling(PLACE) as (endpoint, _, air),
-        zenoh.open(client_config(endpoint)) as stranger,
-        zenoh.open(client_config(endpoint)) as robot,
-    ):
+def test_nobody_else_holds_their_tokens_or_answers_for_them(server: Server) -> None:
+    endpoint, _, air = server
+    with zenoh.open(client_config(endpoint)) as stranger, zenoh.open(client_config(endpoint)) as robot:
         name = NodeName(7, "", "stranger", str(stranger.info.zid()))
         kind, quality = types.ODOMETRY, Quality()
         false = name.token_of(End.PUBLISHER, 1, "/lab/alpha/odom", kind, quality)
@@ -156,6 +192,6 @@ def test_nobody_else_holds_their_tokens_or_answers_for_them() -> None:
             "/tf_static",
         ]
         assert ["/".join(end[5:]) for end in ends if end[5] == "NN"] == ["NN/%/%lab/asterism_cam"]
-        assert not [reply for reply in robot.get(f"{ODOM}/@adv/**", timeout=1.0) if reply.ok is not None]
+        assert not [reply for reply in robot.get(f"{ODOM}/@adv/**", timeout=0.5) if reply.ok is not None]
         for thing in (*tokens, cache):
             thing.undeclare()

@@ -101,7 +101,8 @@ def test_another_rig_has_other_topics_and_transforms(rng: np.random.Generator) -
     bravo = replace(alpha, id="bravo", points={"nose": np.array([0.1, 0.0, 0.0])})
     place = RosPlace(0, "")
     with telling(place) as (endpoint, outlet, _), zenoh.open(client_config(endpoint)) as node:
-        outlet.take_rig(replace(RIG, robots=(bravo, replace(alpha, id="never-mind"))))
+        # Its camera is followed, and ROS has no name for one of its robots.
+        outlet.take_rig(replace(RIG, follows_world=True, robots=(bravo, replace(alpha, id="never-mind"))))
         heard: dict[str, Any] = {}
 
         def hear(sample: zenoh.Sample) -> None:
@@ -110,7 +111,8 @@ def test_another_rig_has_other_topics_and_transforms(rng: np.random.Generator) -
             heard[topic] = in_ros(sample.payload.to_bytes(), told.ros)
 
         def all_heard() -> bool:
-            outlet.write(frame_of([pose(0, rng, "bravo"), pose(0, rng, "never-mind")]), FRAME)
+            poses = [pose(0, rng, "bravo"), pose(0, rng, "never-mind")]
+            outlet.write(frame_of(poses, RIG.T_world_camera), FRAME)
             return {"bravo/odom", "bravo/pose", "tf", "tf_static"} <= heard.keys()
 
         late = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
@@ -123,7 +125,7 @@ def test_another_rig_has_other_topics_and_transforms(rng: np.random.Generator) -
         replies = node.liveliness().get("@ros2_lv/0/*/*/*/MP/**")
         seen = {str(reply.ok.key_expr).split("/")[9] for reply in replies if reply.ok is not None}
     assert heard["bravo/odom"].child_frame_id == "bravo"
-    assert [one.child_frame_id for one in heard["tf"].transforms] == ["bravo", "never-mind"]
+    assert [one.child_frame_id for one in heard["tf"].transforms] == ["bravo", "never-mind", "cam"]
     children = [one.child_frame_id for one in heard["tf_static"].transforms]
-    assert children == ["cam", "bravo/nose", "never-mind/tool"]
+    assert children == ["bravo/nose", "never-mind/tool"]
     assert seen == {"%bravo%pose", "%bravo%odom", "%tf", "%tf_static", "%diagnostics"}

@@ -52,7 +52,7 @@ class Topic:
     def __init__(self, topic: str = TOPIC) -> None:
         endpoint = free_endpoint()
         self.topic = topic
-        self.server = open_server(endpoint, ros_keys=())
+        self.server = open_server(endpoint)
         self.said: list[str] = []
         source = open_source(f"ros2:{topic}", RIG, self.said.append, ros_domain=DOMAIN)
         assert isinstance(source, RosImages)
