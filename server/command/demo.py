@@ -21,7 +21,8 @@ from asterism.server.command.number_arguments import positive
 from asterism.server.command.shared_arguments import add_server, add_smoothing, client_words, named
 from asterism.server.output import check_folder_of_many
 from asterism.server.service.on_air import Place, on_air
-from asterism.server.service.serve import Outlets, Run, Stop, stop_on_signals
+from asterism.server.service.serve import Outlets, Run
+from asterism.server.service.stop import Stop, stop_on_signals
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.simulation.simulate import Look
 from asterism.server.sources.session_clock import SessionClock

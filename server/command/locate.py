@@ -29,7 +29,7 @@ from asterism.server.pose.track import Tracks
 from asterism.server.service.adviser import Adviser
 from asterism.server.service.live_line import LiveLine, Now
 from asterism.server.service.say import say, say_warnings
-from asterism.server.service.serve import Stop, stop_on_signals
+from asterism.server.service.stop import Stop, stop_on_signals
 from asterism.server.service.tally import Tally
 from asterism.server.sources.open_source import refuse_endless
 from asterism.server.sources.source import Source

@@ -9,7 +9,7 @@ from asterism.server.command.shared_arguments import add_client, named
 from asterism.server.output import check_folder_of_many
 from asterism.server.service.listening import Listening
 from asterism.server.service.say import say
-from asterism.server.service.serve import Stop, stop_on_signals
+from asterism.server.service.stop import Stop, stop_on_signals
 
 EXAMPLES = (
     "asterism record recordings\n"

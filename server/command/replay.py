@@ -21,7 +21,7 @@ from asterism.server.service.on_air import Place, on_air
 from asterism.server.service.play_clock import PlayClock
 from asterism.server.service.publish import Publisher
 from asterism.server.service.say import say
-from asterism.server.service.serve import Stop, stop_on_signals
+from asterism.server.service.stop import Stop, stop_on_signals
 from asterism.server.sources.paced import LONGEST_GAP_NS
 
 EXAMPLES = (

@@ -20,7 +20,8 @@ from asterism.server.service.on_air import Place, on_air
 from asterism.server.service.recovery import Recovery
 from asterism.server.service.reload import reload_on_hangup
 from asterism.server.service.say import say, say_warnings
-from asterism.server.service.serve import Outlets, Run, Stop, stop_on_signals
+from asterism.server.service.serve import Outlets, Run
+from asterism.server.service.stop import Stop, stop_on_signals
 from asterism.server.sources.camera import clock_of
 from asterism.server.sources.foreign.network import NetworkImages
 from asterism.server.sources.source import Source

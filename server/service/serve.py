@@ -1,10 +1,9 @@
 """The loop: for every frame of the source, localize, report, publish, record."""
 
 import gc
-import signal
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from typing import NamedTuple
 
 from asterism.protocol import asterism_pb2 as pb
@@ -29,6 +28,7 @@ from asterism.server.service.outlets import Outlet
 from asterism.server.service.publish import Publisher
 from asterism.server.service.reload import Outcome, Reloader, settings_left
 from asterism.server.service.say import complain, say, say_warnings
+from asterism.server.service.stop import Stop
 from asterism.server.service.systemd import Systemd
 from asterism.server.service.threads import Feed, Ticker
 from asterism.server.sources.paced import paced
@@ -58,46 +58,6 @@ def _teller(outlets: Outlets) -> Callable[[list[Message], int | None], None]:
                 outlets.recorder.write([told], None, told.log_ns, told.sequence)
 
     return tell
-
-
-class Stop:
-    """Set by Ctrl-C, a signal, or whoever ends the run.
-
-    It holds no lock: a signal's handler sets it, which may interrupt another one that does.
-    """
-
-    def __init__(self) -> None:
-        self._stopped = False
-        self.interrupted = False  # by a person or a signal, before its time
-
-    def interrupt(self) -> None:
-        """End the run for a signal."""
-        self.interrupted = True
-        self.set()
-
-    def set(self) -> None:
-        """End the run after the frame in work."""
-        self._stopped = True
-
-    def __call__(self) -> bool:
-        return self._stopped
-
-
-@contextmanager
-def stop_on_signals(stop: Stop) -> Iterator[None]:
-    """Let Ctrl-C, SIGTERM and a terminal that closes end the run cleanly, however often they come.
-
-    SIGHUP stays ignored where it is: somebody wanted the program to outlive its terminal.
-    """
-    numbers = [signal.SIGINT, signal.SIGTERM]
-    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-        numbers.append(signal.SIGHUP)
-    before = {number: signal.signal(number, lambda *_: stop.interrupt()) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 class Run:

@@ -13,7 +13,7 @@ from asterism.protocol.messages import FRAME_REPORT, Message
 from asterism.recordings.reader import Recording
 from asterism.server.command.replay import _answering, _play
 from asterism.server.service.play_clock import PlayClock
-from asterism.server.service.serve import Stop
+from asterism.server.service.stop import Stop
 from asterism.server.sources.open_source import open_source
 from tests.recordings.mutations import hand_made, write_file
 from tests.recordings.reloaded import record_reloaded, two_rigs

@@ -13,7 +13,8 @@ from prometheus_client.parser import text_string_to_metric_families
 from asterism.protocol.errors import InputError
 from asterism.protocol.rig import load_rig
 from asterism.server.service.metrics import metrics
-from asterism.server.service.serve import Outlets, Run, Stop
+from asterism.server.service.serve import Outlets, Run
+from asterism.server.service.stop import Stop
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.sources.session_clock import SessionClock
 from asterism.server.sources.simulated import Simulated

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from asterism.protocol.rig import load_rig
-from asterism.server.service.serve import Outlets, Run, Stop
+from asterism.server.service.serve import Outlets, Run
+from asterism.server.service.stop import Stop
 from asterism.server.service.systemd import OFTENER, Systemd
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.sources.camera import Camera, Taken

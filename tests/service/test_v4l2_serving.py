@@ -13,7 +13,8 @@ from asterism.server.chain.frame import Frame
 from asterism.server.chain.pipeline import localize
 from asterism.server.pose.solve import PoseEstimate
 from asterism.server.pose.track import Tracks
-from asterism.server.service.serve import Outlets, Run, Stop
+from asterism.server.service.serve import Outlets, Run
+from asterism.server.service.stop import Stop
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.simulation.simulate import Scene
 from asterism.server.sources.v4l2 import abi
