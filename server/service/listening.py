@@ -46,6 +46,7 @@ class Listening:
         self._queue: queue.Queue[_Sample] = queue.Queue(QUEUE)
         self._cameras: dict[str, CameraRecording] = {}
         self._disks: dict[str, Disk] = {}
+        self._gone: set[str] = set()
         self._said: set[str] = set()
         self.lost = 0  # messages that arrived and found no room in the queue
         self._ticked_s = self._began_s = time.monotonic()
@@ -98,8 +99,7 @@ class Listening:
         key = sample.key.removeprefix(self._prefix)
         name = key.split("/")[1]
         if sample.payload is None:
-            if name in self._cameras:
-                say(f"camera '{name}': the server is {'back' if sample.there else 'gone; waiting for it'}")
+            self._tell_token(name, sample.there)
             return
         try:
             message = arrived(key, sample.payload)
@@ -109,6 +109,14 @@ class Listening:
         camera = self._camera(name)
         if camera is not None:
             camera.arrived(message, time.monotonic())
+
+    def _tell_token(self, name: str, there: bool) -> None:
+        if there and name in self._gone:
+            self._gone.remove(name)
+            say(f"camera '{name}': the server is back")
+        elif not there and name in self._cameras:
+            self._gone.add(name)
+            say(f"camera '{name}': the server is gone; waiting for it")
 
     def _camera(self, name: str) -> CameraRecording | None:
         camera = self._cameras.get(name)

@@ -13,7 +13,8 @@ from asterism.protocol.messages import EVENT, Message
 from asterism.protocol.rig import load_rig
 from asterism.recordings.reader import Recording
 from asterism.recordings.recorder import FramesKept, Recorder
-from asterism.server.service.serve import Outlets, Run, Stop
+from asterism.server.service.serve import Outlets, Run
+from asterism.server.service.stop import Stop
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.sources.camera import Camera, Taken
 from tests.service.nobody import Nobody
