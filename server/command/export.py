@@ -20,7 +20,6 @@ from asterism.recordings.export.ros_bag import write_bag
 from asterism.recordings.export.tum_files import write_tum
 from asterism.recordings.export.written import Written
 from asterism.recordings.reader import Recording
-from asterism.server.command.exported_smooth import smoothed_frames
 from asterism.server.command.exported_truth import write_truth
 from asterism.server.command.progress import progress
 from asterism.server.command.shared_arguments import BOTH_WAYS, add_out, named
@@ -80,6 +79,8 @@ def run(options: argparse.Namespace) -> int:
         return write_truth(options.survey, options.out, options.force)
     exported = _read(options.recording, options.images)
     if options.smooth:
+        from asterism.server.command.exported_smooth import smoothed_frames
+
         exported = replace(exported, frames=smoothed_frames(exported.frames, exported.rigs, options.recording))
     with _output(options) as output:
         written = _write(options, exported, output.path)
