@@ -68,8 +68,8 @@ def ros_place(options: argparse.Namespace, rig: Rig) -> names.RosPlace | None:
         topic = names.odom_topic(options.ros_namespace or "", robot.id)
         if len(topic) > names.LONGEST_TOPIC:
             raise InputError(
-                f"{option}: the topic {topic} has {len(topic)} characters, expected at most {names.LONGEST_TOPIC}: give "
-                "a shorter --ros-namespace, or rename the robot in the rig"
+                f"{option}: the topic {topic} has {len(topic)} characters, expected at most {names.LONGEST_TOPIC}: "
+                "give a shorter --ros-namespace, or rename the robot in the rig"
             )
     return names.RosPlace(options.ros_domain or 0, options.ros_namespace or "")
 
