@@ -74,22 +74,22 @@ def ros_place(options: argparse.Namespace, rig: Rig) -> names.RosPlace | None:
         if options.ros_domain is not None and not is_ros(options.source):
             raise InputError("--ros-domain is for ROS 2; add --ros2 or --dds, or take images from it: ros2:TOPIC")
         return None
+    option = "--ros2" if options.ros2 else "--dds"
     for robot in rig.robots:
         if problem := names.part_problem(robot.id):
-            option = "--ros2" if options.ros2 else "--dds"
             raise InputError(
                 f"{option}: the robot's id {robot.id!r} {problem}; it becomes part of its topics: rename it in the rig"
             )
         if robot.id in ("world", rig.camera.name):
             raise InputError(
-                f"--ros2: the robot {robot.id!r} has the name of a frame that is there, expected another: frames of "
+                f"{option}: the robot {robot.id!r} has the name of a frame that is there, expected another: frames of "
                 f"ROS are world, {rig.camera.name} and the robots"
             )
         topic = names.odom_topic(options.ros_namespace or "", robot.id)
         if len(topic) > names.LONGEST_TOPIC:
             raise InputError(
-                f"--ros2: the topic {topic} has {len(topic)} characters, expected at most {names.LONGEST_TOPIC}: give "
-                "a shorter --ros-namespace, or rename the robot in the rig"
+                f"{option}: the topic {topic} has {len(topic)} characters, expected at most {names.LONGEST_TOPIC}: "
+                "give a shorter --ros-namespace, or rename the robot in the rig"
             )
     return names.RosPlace(options.ros_domain or 0, options.ros_namespace or "")
 

@@ -22,7 +22,7 @@ class Slow:
 
 
 @pytest.mark.parametrize(("waiting", "taken"), [(1, [0, 5]), (3, [0, 3, 4, 5]), (8, [0, 1, 2, 3, 4, 5])])
-def test_who_is_slow_misses_the_oldest(waiting: int, taken: list[int]) -> None:
+def test_who_is_slow_misses_the_oldest_and_they_are_counted(waiting: int, taken: list[int]) -> None:
     slow = Slow(waiting)
     slow.newest.give(0)
     assert slow.begun.wait(20.0)
@@ -31,6 +31,7 @@ def test_who_is_slow_misses_the_oldest(waiting: int, taken: list[int]) -> None:
     slow.may.set()
     slow.newest.close(20.0, rest=True)
     assert slow.taken == taken
+    assert slow.newest.dropped == 6 - len(taken)
 
 
 def test_what_waits_at_the_end_is_left_unless_it_is_wanted() -> None:
@@ -42,3 +43,18 @@ def test_what_waits_at_the_end_is_left_unless_it_is_wanted() -> None:
     slow.may.set()
     slow.newest.close(20.0)
     assert slow.taken == [0]
+
+
+def test_a_fault_of_one_value_does_not_end_it() -> None:
+    got: list[int] = []
+
+    def picky(value: int) -> None:
+        if value == 1:
+            raise ValueError("no ones")
+        got.append(value)
+
+    newest = Newest(picky, "test", waiting=10)
+    for k in range(3):
+        newest.give(k)
+    newest.close(rest=True)
+    assert got == [0, 2]
