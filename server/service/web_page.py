@@ -18,7 +18,7 @@ from asterism.protocol.errors import InputError
 from asterism.server.service.loopback import HOST, free_port, why_taken
 from asterism.server.service.rerun_program import Rerun
 
-SERVER_MEMORY = "32MiB"  # of what it keeps for browsers that come later: some 20 s
+SERVER_MEMORY = "64MiB"  # of what it keeps for browsers that come later: some 20 s
 STARTS_S = 30.0  # the program is large: that long until it answers, on a machine that is busy
 _PIECE = 1 << 18
 _FOREIGN = re.compile(rb'<link\b[^>]*"https://[^>]*>')  # connections in advance are not under the header

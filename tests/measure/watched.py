@@ -117,10 +117,10 @@ def main(pairs: int = 10, seconds: float = 10.0) -> None:
     runs: dict[str, list[Run]] = {kind: [] for kind in kinds}
     addresses: set[str] = set()
     with tempfile.TemporaryDirectory() as folder:
-        for _ in range(pairs):
-            for kind, told in runs.items():
+        for turn in range(pairs):
+            for kind in kinds[:: 1 if turn % 2 == 0 else -1]:  # forwards and backwards: none always comes first
                 watched = run(kind, seconds, Path(folder))
-                told.append(watched.run)
+                runs[kind].append(watched.run)
                 addresses |= watched.addresses
     Console(width=120).print(_table(runs))
     print("listened on:", ", ".join(sorted(addresses)), "(127.0.0.1 is 0100007F); load", os.getloadavg())
