@@ -41,7 +41,7 @@ class Belief(NamedTuple):
 class Step(NamedTuple):
     """How a belief went on to the next frame: after ``dt`` (n,) s, the reference turning at ``turn`` (n, 3) rad/s and,
     when the pose was seen, by ``shift`` (n, 3) rad; with ``wider`` (n, 6, 6) added to what was believed of the pose;
-    ``normals`` (n, 3) of the planes then; ``chi2`` (n,) of the pose by the manner that foresaw it best.
+    ``normals`` (n, 3) of the planes and ``speeds`` (n,) m/s then; ``chi2`` (n,) of the pose by the manner that foresaw it best.
     """
 
     dt: Floats
@@ -49,6 +49,7 @@ class Step(NamedTuple):
     shift: Floats
     wider: Floats
     normals: Floats
+    speeds: Floats
     chi2: Floats
 
 
@@ -73,13 +74,16 @@ def go_on(before: Belief, sight: Sight, dt: Floats, wider: Floats, doubt: Floats
     states, by_state = moved_on(mixed.states, turn, dt)
     rotations = exp_rotations(turn * dt[:, None]) @ before.rotations
     normals = (rotations @ sight.axes[..., None])[..., 0]
-    covariances = by_state @ mixed.covariances @ np.swapaxes(by_state, -1, -2) + unforeseen(normals, dt)
+    speeds = np.linalg.norm(mixed.weights[:, None] @ mixed.states[..., 6:9], axis=(1, 2))
+    covariances = by_state @ mixed.covariances @ np.swapaxes(by_state, -1, -2) + unforeseen(normals, speeds, dt)
     covariances[..., :6, :6] += wider[:, None]
     after, chi2 = _corrected(Belief(rotations, states, covariances, mixed.weights), sight, doubt)
     # The reference follows, so that rotations against it stay small.
     shift = (after.weights[:, None] @ after.states[..., 3:6])[:, 0]
     after.states[..., 3:6] -= shift[:, None]
-    return after._replace(rotations=exp_rotations(shift) @ rotations), Step(dt, turn, shift, wider, normals, chi2)
+    return after._replace(rotations=exp_rotations(shift) @ rotations), Step(
+        dt, turn, shift, wider, normals, speeds, chi2
+    )
 
 
 def _corrected(foreseen: Belief, sight: Sight, doubt: Floats) -> tuple[Belief, Floats]:

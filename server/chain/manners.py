@@ -5,7 +5,7 @@ turn rate rad/s, both about the parent's axes. In every manner the robot goes on
 on, in a circle, turning on the spot, over a bowl. White acceleration disturbs it, much or little; that is all in which
 manners differ. Wheels drive a robot along its plane and turn it about its normal, so that most manners differ in these
 two: how hard it speeds up, and how hard its turn changes. Across the plane nothing pushes it, and it tilts only as the
-surface below it does. What a hand shows to the camera moves any way, so three manners know no plane.
+surface below it does: the faster, the more. What a hand shows to the camera moves any way, so three manners know no plane.
 
 Source: Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, 6.2.2 (white
 acceleration), 11.6.6 (manners) and 11.7 (turns).
@@ -25,6 +25,7 @@ ARM2 = 45.0  # of the turn's density over the acceleration's, 1/m^2: of points s
 PUSHES = np.geomspace(CALM, HARD, 4)
 SWERVES = ARM2 * np.geomspace(CALM, HARD, 3)
 CURVATURE2 = 1.0  # 1/m^2, of the surfaces that robots drive on
+BUMPS = 3.0  # 1/m^4 s: of surfaces whose curvature changes by 3 /m in a metre, a third of a second long
 FREE = (1e-5, 2e-3, HARD)  # of manners that know no plane
 CALM_S, HARD_S = 5.0, 0.1  # how long a robot keeps to a manner, on average: one that is hard is soon over
 IS_HARD = 0.1  # of the hardest
@@ -101,16 +102,19 @@ def moved_on(states: Floats, turn: Floats, dt: Floats) -> tuple[Floats, Floats]:
     return later, by_state
 
 
-def unforeseen(normals: Floats, dt: Floats) -> Floats:
+def unforeseen(normals: Floats, speeds: Floats, dt: Floats) -> Floats:
     """What white acceleration adds to covariances (n, m, 12, 12) within ``dt`` (n,) s, of robots whose planes have
-    ``normals`` (n, 3) in the parent frame.
+    ``normals`` (n, 3) in the parent frame, at ``speeds`` (n,) m/s.
     """
+    bumps = (BUMPS * speeds**4)[:, None, None, None]
     upright = (normals[:, :, None] * normals[:, None, :])[:, None]
     flat = np.eye(3) - upright
     out = np.zeros((len(normals), COUNT, 12, 12))
     t = dt[:, None, None, None]
     for first, plane, normal in ((0, MANNERS.along, MANNERS.across), (3, MANNERS.tilt, MANNERS.yaw)):
         density = t * (plane[:, None, None] * flat + normal[:, None, None] * upright)
+        if first:
+            density = density + t * bumps * flat
         place, rate = slice(first, first + 3), slice(first + 6, first + 9)
         out[..., place, place] = t * t / 3.0 * density
         out[..., place, rate] = out[..., rate, place] = 0.5 * t * density

@@ -142,7 +142,7 @@ def _before(belief: Belief, step: Step, later: Belief) -> Belief:
     after, spread = later.states[:, some].copy(), later.covariances[:, some]
     after[..., 3:6] += step.shift[:, None]
     foreseen, by_state = moved_on(belief.states, step.turn, step.dt)
-    noise = unforeseen(step.normals, step.dt)[:, some]
+    noise = unforeseen(step.normals, step.speeds, step.dt)[:, some]
     noise[..., :6, :6] += step.wider[:, None]
     across = belief.covariances @ np.swapaxes(by_state, -1, -2)
     grown = by_state @ across
