@@ -18,9 +18,11 @@ def sentence(event: "pb.Event") -> str:
     if not event.robot:
         return event.reason
     text = f"{event.robot}: {_word(event.state)}"
-    if event.before:
-        text += f" ({_word(event.before)} for {event.lasted_s:.3g} s before"
-        text += f", {event.left_out} changes between)" if event.left_out else ")"
+    if event.before and event.left_out:
+        changes = f"{event.left_out} change{'s' * (event.left_out > 1)}"
+        text += f" ({_word(event.before)} {event.lasted_s:.3g} s before, {changes} between)"
+    elif event.before:
+        text += f" ({_word(event.before)} for {event.lasted_s:.3g} s before)"
     return f"{text}: {event.reason}" if event.reason else text
 
 

@@ -151,7 +151,7 @@ def test_a_stamp_and_a_session_come_last_and_a_person_can_read_it() -> None:
     assert (event.published_ns, event.session) == (START_NS, 77)
     assert sentence(event) == "alpha: TRACKED"
     assert sentence(make_golden.event()) == (
-        "bravo: LOST (TRACKED for 12.5 s before, 2 changes between): its constellation is not among the spots"
+        "bravo: LOST (TRACKED 12.5 s before, 2 changes between): its constellation is not among the spots"
     )
 
 
