@@ -21,6 +21,7 @@ from asterism.server.command.shared_arguments import add_force, named
 from asterism.server.output import check_folder, new_folder
 from asterism.server.simulation.hand_film import hand_pose, pivot_pose
 from asterism.server.simulation.simulate import Look, Scene, Truth
+from asterism.server.sources.frame_times import HEADER, NAME
 from asterism.server.sources.source import DEFAULT_RATE_HZ
 
 EXAMPLES = (
@@ -53,7 +54,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write OUT/frames/NNNNN.png, OUT/truth.jsonl (in locate's format, with `visible`), and the rig's files."""
+    """Write OUT/frames/NNNNN.png and times.csv, OUT/truth.jsonl (locate's format, with `visible`), the rig's files."""
     out: Path = options.out
     check_folder(out, options.force)
     rig = load_rig(options.rig)
@@ -71,7 +72,8 @@ def run(options: argparse.Namespace) -> int:
             file = made.path / name
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(text, encoding="utf-8")
-        with (made.path / "truth.jsonl").open("wb") as truth_file:
+        with (made.path / "truth.jsonl").open("wb") as truth_file, (frames / NAME).open("w") as times:
+            times.write(f"{HEADER}\n")
             for index in progress(range(options.frames), options.frames, "simulating"):
                 truth = scene.truth(index, index / rate)
                 if pose_of is not None:
@@ -80,7 +82,9 @@ def run(options: argparse.Namespace) -> int:
                 _, png = cv2.imencode(".png", scene.render(index, truth))
                 (frames / name).write_bytes(png.tobytes())
                 robots = [_truth_line(entry, rig) for entry in truth]
-                line = {"frame": name, "exposed_ns": round(index * 1e9 / rate), "robots": robots}
+                exposed_ns = round(index * 1e9 / rate)
+                times.write(f"{name},{exposed_ns}\n")
+                line = {"frame": name, "exposed_ns": exposed_ns, "robots": robots}
                 truth_file.write(encoder.encode(line) + b"\n")
     print(f"{options.frames} frames in {out / 'frames'}, their truth in {out / 'truth.jsonl'}{made.note}")
     return 0

@@ -84,7 +84,7 @@ def told_faults(names: list[str], seeds: int, frames: int, console: Console) -> 
 def told_samples(folder: Path, console: Console) -> None:
     """What it says of films of others."""
     for rig in sorted(folder.glob("*/rig.yaml")):
-        images = sorted(path.name for path in (rig.parent / "frames").iterdir())
+        images = sorted(path.name for path in (rig.parent / "frames").glob("*.png"))
         found = diagnosed(told := load_rig(rig), film_of(str(rig.parent / "frames"), told, images), 30.0)
         said = "; ".join(f"{f.check}: {f.measured}" for f in found if f.verdict > Verdict.GOOD)
         console.print(f"{rig.parent.name}, {len(images)} frames: {said or 'all good'}", highlight=False, markup=False)

@@ -26,7 +26,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[dict[str, Any
     """What a subscriber received of the simulator's frames over GigE Vision, the rig, and the recording."""
     folder, endpoint = tmp_path_factory.mktemp("gige"), free_endpoint()
     assert asterism("simulate", DEMO_RIG, folder / "sim", "--frames", FILM, "--seed", 4).returncode == 0
-    files = sorted((folder / "sim" / "frames").iterdir())
+    files = sorted((folder / "sim" / "frames").glob("*.png"))
     film = np.stack([cv2.imread(str(file), cv2.IMREAD_UNCHANGED) for file in files])
     rig = folder / "sim" / "rig.yaml"
     command = ("serve", rig, f"genicam:{ADDRESS}", "--listen", endpoint, "--record", folder)
