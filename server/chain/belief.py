@@ -41,7 +41,8 @@ class Belief(NamedTuple):
 class Step(NamedTuple):
     """How a belief went on to the next frame: after ``dt`` (n,) s, the reference turning at ``turn`` (n, 3) rad/s and,
     when the pose was seen, by ``shift`` (n, 3) rad; with ``wider`` (n, 6, 6) added to what was believed of the pose;
-    ``normals`` (n, 3) of the planes and ``speeds`` (n,) m/s then; ``chi2`` (n,) of the pose by the manner that foresaw it best.
+    ``normals`` (n, 3) of the planes and ``speeds`` (n,) m/s then; ``chi2`` (n,) of the pose by the manner that
+    foresaw it best.
     """
 
     dt: Floats

@@ -5,7 +5,8 @@ turn rate rad/s, both about the parent's axes. In every manner the robot goes on
 on, in a circle, turning on the spot, over a bowl. White acceleration disturbs it, much or little; that is all in which
 manners differ. Wheels drive a robot along its plane and turn it about its normal, so that most manners differ in these
 two: how hard it speeds up, and how hard its turn changes. Across the plane nothing pushes it, and it tilts only as the
-surface below it does: the faster, the more. What a hand shows to the camera moves any way, so three manners know no plane.
+surface below it does: the faster, the more. What a hand shows to the camera moves any way, so three manners know no
+plane.
 
 Source: Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, 6.2.2 (white
 acceleration), 11.6.6 (manners) and 11.7 (turns).
@@ -27,7 +28,7 @@ SWERVES = ARM2 * np.geomspace(CALM, HARD, 3)
 CURVATURE2 = 1.0  # 1/m^2, of the surfaces that robots drive on
 BUMPS = 3.0  # 1/m^4 s: of surfaces whose curvature changes by 3 /m in a metre, a third of a second long
 FREE = (1e-5, 2e-3, HARD)  # of manners that know no plane
-CALM_S, HARD_S = 5.0, 0.1  # how long a robot keeps to a manner, on average: one that is hard is soon over
+CALM_S, HARD_S = 4.0, 0.1  # how long a robot keeps to a manner, on average: one that is hard is soon over
 IS_HARD = 0.1  # of the hardest
 
 
