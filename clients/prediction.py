@@ -1,6 +1,7 @@
 """Where a robot is a moment after its pose, if it goes on as it went, and how sure that is.
 
-Constant velocity, disturbed by as much white acceleration as the server's filter takes for possible. The message holds
+Constant velocity and turn in the robot's own axes, so on in a circle where it drives one, disturbed by as much white
+acceleration as the server's filter takes for possible. The message holds
 no covariance between pose and velocity; in a filter of this kind position and velocity correlate by `CORRELATION`
 (steady state of the constant-velocity Kalman filter: Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to
 Tracking and Navigation", 2001, 6.5.2).
@@ -16,6 +17,7 @@ from asterism.protocol.geometry import Floats, Pose, exp_rotation
 from asterism.protocol.messages import RobotPose
 
 CORRELATION = 0.7
+SMALL_TURN = 1e-9  # rad
 UNFORESEEN = 4.0  # times the filter's acceleration: it averages over what a robot did, not over what it may do
 
 
@@ -52,8 +54,20 @@ def predict(seen: RobotPose, ahead_s: float) -> PredictedPose:
         raise InputError(f"{seen.robot}: {ahead_s} s ahead, expected 0 or more")
     turn = seen.pose.rotation
     velocity, rate = turn @ seen.velocity.linear, turn @ seen.velocity.angular
-    pose = Pose.from_matrix(exp_rotation(rate * ahead_s) @ turn, seen.position + velocity * ahead_s)
+    gone = _mean_turn(rate * ahead_s) @ velocity * ahead_s
+    pose = Pose.from_matrix(exp_rotation(rate * ahead_s) @ turn, seen.position + gone)
     return PredictedPose(seen.robot, seen.frame_id, pose, _grown(seen, ahead_s), ahead_s)
+
+
+def _mean_turn(turned: Floats) -> Floats:
+    """The mean (3, 3) of all rotations from none to a rotation vector (3,)."""
+    angle = float(np.linalg.norm(turned))
+    if angle < SMALL_TURN:
+        return np.eye(3)
+    x, y, z = turned / angle
+    hat = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    mean: Floats = np.eye(3) + (1.0 - np.cos(angle)) / angle * hat + (1.0 - np.sin(angle) / angle) * hat @ hat
+    return mean
 
 
 def _grown(seen: RobotPose, ahead_s: float) -> Floats:

@@ -28,7 +28,7 @@ SWERVES = ARM2 * np.geomspace(CALM, HARD, 3)
 CURVATURE2 = 1.0  # 1/m^2, of the surfaces that robots drive on
 BUMPS = 3.0  # 1/m^4 s: of surfaces whose curvature changes by 3 /m in a metre, a third of a second long
 FREE = (1e-5, 2e-3, HARD)  # of manners that know no plane
-CALM_S, HARD_S = 5.0, 0.1  # how long a robot keeps to a manner, on average: one that is hard is soon over
+CALM_S, HARD_S = 4.0, 0.1  # how long a robot keeps to a manner, on average: one that is hard is soon over
 IS_HARD = 0.1  # of the hardest
 
 

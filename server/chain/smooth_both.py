@@ -147,7 +147,7 @@ def _before(belief: Belief, step: Step, later: Belief) -> Belief:
     across = belief.covariances @ np.swapaxes(by_state, -1, -2)
     grown = by_state @ across
     joint = (changes(step.dt) * belief.weights[..., None])[..., some]
-    led = _led(joint, after[:, None] - foreseen[:, :, None], grown[:, :, None] + (noise + spread)[:, None])
+    led = _led(joint, after[:, None] - foreseen[:, :, None], grown[:, :, None] + noise[:, None])
     led = led * later.weights[:, None, some] + LEAST
     weights = led.sum(axis=2)
     shares = led / weights[..., None]

@@ -100,3 +100,13 @@ def test_a_client_tells_where_the_tool_is_and_where_the_robot_is_by_now(endpoint
         assert before_s <= now.ahead_s <= pose.age_s
         np.testing.assert_allclose(now.position - pose.position, pose.pose.rotation[:, 0] * now.ahead_s, atol=1e-12)
         assert pose.predicted(ahead_s=0.5).ahead_s > 0.5
+
+
+def test_a_robot_on_a_circle_is_predicted_on_it() -> None:
+    radius, rate, ahead_s = 0.2, 2.0, 0.4
+    velocity = Velocity(np.array([radius * rate, 0.0, 0.0]), np.array([0.0, 0.0, rate]), COVARIANCE, (0.0, 0.0))
+    start = Pose.identity()
+    found = predict(replace(SMOOTHED_POSE, pose=start, velocity=velocity), ahead_s)
+    angle = rate * ahead_s
+    np.testing.assert_allclose(found.position, radius * np.array([np.sin(angle), 1.0 - np.cos(angle), 0.0]), atol=1e-12)
+    np.testing.assert_allclose(found.pose.rotation, exp_rotation(np.array([0.0, 0.0, angle])), atol=1e-12)
