@@ -15,6 +15,7 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.messages import (
     ANNOTATIONS,
     CALIBRATION,
+    EVENT,
     FRAME_REPORT,
     ODOMETRY,
     STATUS,
@@ -65,8 +66,8 @@ class FoxgloveOutlet:
         self._told.give((messages, self._rig))
         self._seen.give(frame)
 
-    def status(self, messages: list[Message]) -> None:
-        """Hand on the status."""
+    def between(self, messages: list[Message]) -> None:
+        """Hand them on."""
         self._told.give((messages, self._rig))
 
     def close(self) -> None:
@@ -131,6 +132,7 @@ def _channels(rig: Rig) -> dict[str, Kind]:
         **{keys.odometry(camera, robot.id): ODOMETRY for robot in rig.robots},
         keys.frame(camera): FRAME_REPORT,
         keys.status(camera): STATUS,
+        keys.event(camera): EVENT,
         keys.TRANSFORMS: TRANSFORMS,
         keys.calibration(camera): CALIBRATION,
         keys.annotations(camera): ANNOTATIONS,

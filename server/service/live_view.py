@@ -61,7 +61,7 @@ class LiveView:
         """Show this frame when the viewer gets to it."""
         self._shown.give((messages, frame, self._rig))
 
-    def status(self, messages: list[Message]) -> None:
+    def between(self, messages: list[Message]) -> None:
         """Its views have no place for it."""
 
     def close(self) -> None:

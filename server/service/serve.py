@@ -50,12 +50,14 @@ class Outlets(NamedTuple):
 
 
 def _teller(outlets: Outlets) -> Callable[[list[Message], int | None], None]:
-    """What publishes and records events that come between frames; they are stamped in the session given."""
+    """What tells events that come between frames everywhere; they are stamped in the session given."""
 
     def tell(events: list[Message], session: int | None) -> None:
         for told in outlets.publisher.publish(events, session):
             if outlets.recorder is not None:
                 outlets.recorder.write([told], None, told.log_ns, told.sequence)
+            for outlet in outlets.others:
+                outlet.between([told])
 
     return tell
 
@@ -172,7 +174,7 @@ class Run:
         if self.outlets.recorder is not None:
             self.outlets.recorder.write(status, None, now, 0)
         for outlet in self.outlets.others:
-            outlet.status(status)
+            outlet.between(status)
         if self._disk is not None:
             self._disk.look()
         self._adviser.look()
@@ -207,9 +209,9 @@ class Run:
             publisher.show_visible(located)
             self.health.add(frame, result, solved_ns, messages[-1].publish_ns)
             self._drift.add(result)
-            events = publisher.publish(self._events.add(result, frame.session), frame.session)
+            messages += publisher.publish(self._events.add(result, frame.session), frame.session)
             if recorder is not None:
-                recorder.write([*messages, *events], frame.image, frame.exposed_ns, frame.index)
+                recorder.write(messages, frame.image, frame.exposed_ns, frame.index)
             for outlet in self.outlets.others:
                 outlet.write(messages, frame)
             if self.outlets.begun is not None:

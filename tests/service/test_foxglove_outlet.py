@@ -15,7 +15,7 @@ from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
 from asterism.protocol.codec import to_bytes
 from asterism.protocol.errors import InputError
-from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, STATUS, Message
+from asterism.protocol.messages import EVENT, FRAME_REPORT, ODOMETRY, STATUS, Message
 from asterism.protocol.rig import Rig, load_rig
 from asterism.server.chain.frame import Frame
 from asterism.server.service.foxglove_outlet import FRAMES_BEHIND, FoxgloveOutlet
@@ -63,7 +63,7 @@ def subscribed(client: FoxgloveClient, outlet: FoxgloveOutlet) -> list[Heard]:
     """Once what a status brings along comes, the client's subscriptions hold. What came by then."""
     client.wait_for(lambda: bool(client.topics))
     for k in range(1, 1000):
-        outlet.status([status(k)])
+        outlet.between([status(k)])
         with contextlib.suppress(TimeoutError):
             return client.until(keys.calibration(CAMERA), timeout_s=0.05)
     raise AssertionError("nothing comes")
@@ -71,11 +71,12 @@ def subscribed(client: FoxgloveClient, outlet: FoxgloveOutlet) -> list[Heard]:
 
 def test_the_channels_are_those_of_a_recording(outlet: FoxgloveOutlet, port: int, rig: Rig) -> None:
     with FoxgloveClient(port) as client:
-        client.wait_for(lambda: len(client.topics) >= len(rig.robots) + 6)
+        client.wait_for(lambda: len(client.topics) >= len(rig.robots) + 7)
         assert client.topics == {
             **{keys.odometry(CAMERA, robot.id): "foxglove.Odometry" for robot in rig.robots},
             FRAME: "asterism.FrameReport",
             keys.status(CAMERA): "asterism.Status",
+            keys.event(CAMERA): "asterism.Event",
             "/tf": "foxglove.FrameTransforms",
             keys.calibration(CAMERA): "foxglove.CameraCalibration",
             ANNOTATIONS: "foxglove.ImageAnnotations",
@@ -99,6 +100,14 @@ def test_what_is_published_is_what_is_shown(outlet: FoxgloveOutlet, port: int, r
                 robot = next(r for r in frames[one.log_ns].robots if r.id == odometry.body_frame_id)
                 for field in ("x", "y", "z"):
                     assert getattr(odometry.pose.position, field) == getattr(robot.pose.position, field)
+
+
+def test_events_come_as_they_were_told(outlet: FoxgloveOutlet, port: int) -> None:
+    told = Message(keys.event(CAMERA), EVENT, to_bytes(pb.Event(robot="alpha", reason="hidden")), 7, 7, 0)
+    with FoxgloveClient(port) as client:
+        subscribed(client, outlet)
+        outlet.between([told])
+        assert client.until(told.key, told.log_ns)[-1].payload == told.payload
 
 
 def test_transforms_annotations_and_calibration_are_of_the_same_frame(

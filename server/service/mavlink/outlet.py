@@ -47,7 +47,7 @@ class Mavlink:
         """Send the frame's poses when it is their turn."""
         self._sending.give(messages)
 
-    def status(self, messages: list[Message]) -> None:
+    def between(self, messages: list[Message]) -> None:
         """Send a heartbeat."""
         self._sending.give(messages)
 

@@ -44,7 +44,7 @@ class NatNet:
             if message.kind is FRAME_REPORT:
                 self._sending.give((message.payload, self._rig))
 
-    def status(self, messages: list[Message]) -> None:
+    def between(self, messages: list[Message]) -> None:
         """The protocol has no place for it."""
 
     def take_rig(self, rig: Rig) -> None:

@@ -69,7 +69,7 @@ class Ros2:
         """Poses of the robots that were located; those that were not have no transform of this frame."""
         self._telling.give(messages)
 
-    def status(self, messages: list[Message]) -> None:
+    def between(self, messages: list[Message]) -> None:
         """The server's health."""
         for message in messages:
             if message.kind is STATUS:

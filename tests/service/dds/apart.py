@@ -78,7 +78,7 @@ def main() -> None:
         outlet.write(frame_of([told]), FRAME)
         if sent % TOGETHER == 0 or sent == count:
             until(lambda at_least=sent: min(listener.counts()[topic] for topic in DYNAMIC) >= at_least)
-    outlet.status([Message("asterism/cam/status", STATUS, to_bytes(HEALTH), 5, 5, 0)])
+    outlet.between([Message("asterism/cam/status", STATUS, to_bytes(HEALTH), 5, 5, 0)])
     until(lambda: min(listener.counts().values()) > 0)
     print(json.dumps({"received": listener.finish(), "heard_at": heard_at()}))
     outlet.close()

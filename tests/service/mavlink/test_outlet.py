@@ -130,7 +130,7 @@ def test_jumps_are_counted_and_doubt_is_told(rng: np.random.Generator) -> None:
 def test_the_heart_beats_and_the_time_is_told_to_who_asks() -> None:
     clock = Stopped()
     with flying("r00", clock=clock) as (outlet, (controller,)):
-        outlet.status([Message("status", STATUS, b"", 0, 0, 0)])
+        outlet.between([Message("status", STATUS, b"", 0, 0, 0)])
         assert controller.next("HEARTBEAT").get_srcSystem() == 1
         controller.send(theirs.MAVLink_timesync_message(5, 78))  # an answer of its own, no question
         controller.send(theirs.MAVLink_timesync_message(0, 79))

@@ -71,7 +71,7 @@ def test_a_node_receives_everything(rng: np.random.Generator) -> None:
             if sent % TOGETHER == 0:
                 until(lambda n=sent: all(node.counts()[topic] >= before[topic] + n for topic in DYNAMIC), TIMEOUT_S)
         status = pb.Status(time_ns=5, rate_hz=60.0, problem="the disk is full")
-        outlet.status([Message("asterism/cam/status", STATUS, to_bytes(status), 5, 5, 0)])
+        outlet.between([Message("asterism/cam/status", STATUS, to_bytes(status), 5, 5, 0)])
         until(lambda: node.counts()["/diagnostics"], TIMEOUT_S)
         found = node.finish()
     received = found["received"]
