@@ -5,6 +5,7 @@ The server is a peer that listens; robots and desks are clients of it, or of any
 
 import json
 import re
+from collections.abc import Sequence
 from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -34,34 +35,28 @@ _SOCKET_BYTES = 32_768
 # Who opens a connection and says nothing holds one of the places of those that wait; by default new clients wait 10 s.
 _ACCEPT_TIMEOUT_MS = 1500
 _ACCEPT_PENDING = 1000
-# What comes in through a server's own listener is never told under its keys: everything else passes.
-_OWN_KEYS_ONLY = {
-    "enabled": True,
-    "default_permission": "allow",
-    "rules": [
-        {
-            "id": "only the server speaks",
-            "permission": "deny",
-            "flows": ["ingress"],
-            "messages": ["put", "delete", "declare_queryable", "reply", "liveliness_token"],
-            "key_exprs": [f"{PREFIX}/**", f"{REPLAY}{PREFIX}/**"],
-        }
-    ],
-    "subjects": [{"id": "everybody"}],
-    "policies": [{"rules": ["only the server speaks"], "subjects": ["everybody"]}],
-}
+_OWN_KEYS = (f"{PREFIX}/**", f"{REPLAY}{PREFIX}/**")
 # A server that is started again is found at once: trying costs a packet.
 _RETRY = {"period_init_ms": 100, "period_max_ms": 200, "period_increase_factor": 2}
 
 
-def server_config(listen: str | None = None, connect: str | None = None, options: Path | None = None) -> "zenoh.Config":
+def server_config(
+    listen: str | None = None,
+    connect: str | None = None,
+    options: Path | None = None,
+    ros_keys: Sequence[str] | None = None,
+) -> "zenoh.Config":
     """A peer that listens on ``listen`` (default: loopback), or a client of ``connect``.
 
     ``options`` is a JSON5 file of zenoh options; what it says holds, unless an argument says otherwise. Through its own
-    listener nobody else can speak under Asterism's keys, unless the file has an `access_control` of its own. Raises
-    InputError for a file that is no zenoh configuration.
+    listener nobody else can speak under Asterism's keys, unless the file has an `access_control` of its own. With
+    ``ros_keys``, key expressions that are its own as well, nodes of ROS 2 join it: it is a router, by which they find
+    each other, and its messages have times, which their late joiners ask for. Raises InputError for a file that is no
+    zenoh configuration.
     """
     config = _base(options)
+    if ros_keys is not None:
+        _default(config, "timestamping/enabled", True)
     _default(config, f"transport/link/tx/queue/size/{ODOMETRY_PRIORITY.lower()}", _ODOMETRY_QUEUE, _TX_QUEUE)
     _default(config, "transport/link/tx/batch_size", _BATCH_BYTES)
     if connect is not None:
@@ -69,7 +64,7 @@ def server_config(listen: str | None = None, connect: str | None = None, options
         _set(config, "connect/endpoints", [connect])
         _set(config, "listen/endpoints", [])
         return config
-    _default(config, "mode", "peer")
+    _default(config, "mode", "peer" if ros_keys is None else "router")
     if listen is not None:
         _set(config, "listen/endpoints", [listen])
     elif config.get_json("mode") == '"client"':
@@ -77,10 +72,28 @@ def server_config(listen: str | None = None, connect: str | None = None, options
     else:
         _default(config, "listen/endpoints", [DEFAULT_ENDPOINT])
     if config.get_json("mode") != '"client"':
-        _default(config, "access_control", _OWN_KEYS_ONLY)
+        _default(config, "access_control", _only_the_server_speaks([*_OWN_KEYS, *(ros_keys or ())]))
         _default(config, "transport/unicast/accept_timeout", _ACCEPT_TIMEOUT_MS)
         _default(config, "transport/unicast/accept_pending", _ACCEPT_PENDING)
     return config
+
+
+def _only_the_server_speaks(keys: list[str]) -> dict[str, object]:
+    """What comes in through a server's own listener is never told under its keys: everything else passes."""
+    rule = {
+        "id": "only the server speaks",
+        "permission": "deny",
+        "flows": ["ingress"],
+        "messages": ["put", "delete", "declare_queryable", "reply", "liveliness_token"],
+        "key_exprs": keys,
+    }
+    return {
+        "enabled": True,
+        "default_permission": "allow",
+        "rules": [rule],
+        "subjects": [{"id": "everybody"}],
+        "policies": [{"rules": [rule["id"]], "subjects": ["everybody"]}],
+    }
 
 
 def short_of_buffer(endpoint: str) -> str:
@@ -155,8 +168,13 @@ def _short(error: Exception) -> str:
     return " ".join(text.split())
 
 
-def open_server(listen: str | None = None, connect: str | None = None, options: Path | None = None) -> "zenoh.Session":
-    """Open the server's session.
+def open_server(
+    listen: str | None = None,
+    connect: str | None = None,
+    options: Path | None = None,
+    ros_keys: Sequence[str] | None = None,
+) -> "zenoh.Session":
+    """Open the server's session, as `server_config` has it.
 
     Raises InputError when an endpoint is malformed or in use, WorldError when the infrastructure cannot be reached.
     """
@@ -165,7 +183,7 @@ def open_server(listen: str | None = None, connect: str | None = None, options: 
     for endpoint in (listen, connect):
         if endpoint is not None:
             check_endpoint(endpoint)
-    config = server_config(listen, connect, options)
+    config = server_config(listen, connect, options, ros_keys)
     for key in ("listen/endpoints", "connect/endpoints"):
         endpoints = json.loads(config.get_json(key))
         if isinstance(endpoints, list):

@@ -43,6 +43,7 @@ OTHERS = (
     "arv-tool-0.8",
     "ip",
     "sysctl",
+    "evo_ape",
 )  # what pages run beside asterism
 SHELL = blocks("sh")
 
@@ -171,6 +172,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert made.returncode == 0, made.stderr
     (path / RECORDING).parent.mkdir()
     next((path / "new").iterdir()).rename(path / RECORDING)
+    exported = asterism("export", path / RECORDING, "--to", "parquet", "-o", path / "poses.parquet")
+    assert exported.returncode == 0, exported.stderr
     return path
 
 
@@ -181,7 +184,8 @@ def test_their_python_runs(
     monkeypatch.chdir(folder)
     exec(compile(block.text, block.page, "exec"), {"image": np.zeros((1024, 1280), np.uint8)})
     printed = capsys.readouterr().out
-    assert "alpha Lost" in printed if "localize" in block.text else "(1024, 1280)" in printed
+    expected = {"localize": "alpha Lost", "pandas": "speed, mm/s"}
+    assert next((text for word, text in expected.items() if word in block.text), "(1024, 1280)") in printed
 
 
 @pytest.fixture(scope="module")

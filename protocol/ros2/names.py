@@ -5,15 +5,24 @@ and underscores, parted by single slashes, none beginning with a digit.
 """
 
 import re
+from typing import NamedTuple
 
 TF = "/tf"
 TF_STATIC = "/tf_static"
 DIAGNOSTICS = "/diagnostics"
 
 LARGEST_DOMAIN = 232  # of DDS, whose ports are counted by it; ROS 2 takes it for all
-_LONGEST = 245  # of a namespace, and, nearly, of a topic
+LONGEST_TOPIC = 247  # characters
+_LONGEST = 245  # of a namespace
 _PART = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 _RULE = "expected letters A-Z a-z, digits and underscores, not beginning with a digit"
+
+
+class RosPlace(NamedTuple):
+    """Where in ROS's world: a domain, and a namespace as `clean_namespace` gives it."""
+
+    domain: int
+    namespace: str
 
 
 def pose_topic(namespace: str, robot: str) -> str:

@@ -7,7 +7,7 @@ from typing import Literal
 
 from asterism.recordings.export.frames import ExportedFrame, ExportedRobot
 
-Type = Literal["text", "integer", "real", "flag"]
+Type = Literal["text", "integer", "natural", "real", "flag"]
 Value = str | int | float | bool | None
 LEDS = 6
 AXES = ("x", "y", "z", "rx", "ry", "rz")  # rotations are about the axes of the parent frame
@@ -127,7 +127,7 @@ _WHEN = Group(
         Column("frame", "", "text"),
         Column("time_s", "s", "text"),
         Column("exposed_ns", "ns", "integer"),
-        Column("session", "", "integer"),
+        Column("session", "", "natural"),
     ),
     lambda frame, robot: (robot.id, frame.name, seconds(frame.exposed_ns), frame.exposed_ns, frame.session or None),
 )

@@ -3,6 +3,7 @@
 import csv
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from decimal import Decimal
 from pathlib import Path
 from typing import Protocol
 
@@ -51,5 +52,10 @@ class _Files:
 
 
 def _cell(value: Value) -> Value:
-    """True and False as most programs write them."""
-    return str(value).lower() if isinstance(value, bool) else value
+    """Numbers without an exponent: PlotJuggler takes a column for text if the first number in it has one."""
+    if isinstance(value, bool):
+        return str(value).lower()  # as most programs write them
+    if isinstance(value, float):
+        text = repr(value)
+        return format(Decimal(text), "f") if "e" in text else text
+    return value

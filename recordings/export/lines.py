@@ -1,4 +1,4 @@
-"""The JSON lines of `asterism locate`, `fuse` and `simulate` as frames for export."""
+"""The JSON lines of `asterism locate` and `simulate` as frames for export."""
 
 import math
 from collections.abc import Iterator

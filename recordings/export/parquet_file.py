@@ -61,5 +61,7 @@ def _field(column: Column) -> pa.Field:
 
     if column.name == _TIME:
         return pa.field("time", pa.timestamp("ns", tz="UTC"))
-    kinds = {"text": pa.string(), "integer": pa.int64(), "real": pa.float64(), "flag": pa.bool_()}
+    kinds = {
+        "text": pa.string(), "integer": pa.int64(), "natural": pa.uint64(), "real": pa.float64(), "flag": pa.bool_(),
+    }  # fmt: skip
     return pa.field(column.name, kinds[column.type], metadata={"unit": column.unit} if column.unit else None)

@@ -28,7 +28,7 @@ from asterism.server.command.calibrate import TARGET
 from asterism.server.command.foreign_camera import FOREIGN, take_foreign
 from asterism.server.command.joined import joined
 from asterism.server.command.progress import progress, working
-from asterism.server.command.shared_arguments import CAMERA_OR_FILES, add_out, add_server, add_topic
+from asterism.server.command.shared_arguments import CAMERA_OR_FILES, add_out, add_ros_domain, add_server, add_topic
 from asterism.server.output import new_file
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import open_source
@@ -51,6 +51,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     part.add_argument("source", metavar="SOURCE", nargs="?", help=CAMERA_OR_FILES)
     add_topic(part)
+    add_ros_domain(part)
     add_out(part, "camera.yaml", "what is written")
     add_server(part)
     part.add_argument("--target", metavar="TARGET", help=TARGET)
@@ -80,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
     if problem := key_problem(name):
         raise InputError(f"{options.out}: the camera is named after the file, and {name!r} {problem}")
     target = parse_target(options.target)
-    source = open_source(options.source, None, say, topic=options.topic)
+    source = open_source(options.source, None, say, topic=options.topic, ros_domain=options.ros_domain or 0)
     if target.kind == "leds":
         warm_up(*FINDING)
     search = _Search(target)

@@ -19,7 +19,7 @@ from asterism.server.command.fitted_rig import open_fitting
 from asterism.server.command.joined import joined
 from asterism.server.command.number_arguments import positive
 from asterism.server.command.progress import progress
-from asterism.server.command.shared_arguments import SOURCE, add_server, add_topic
+from asterism.server.command.shared_arguments import SOURCE, add_ros_domain, add_server, add_topic
 from asterism.server.doctor.blink import check_delay
 from asterism.server.doctor.examine import examine
 from asterism.server.doctor.finding import Finding, Verdict
@@ -49,6 +49,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     part.add_argument("rig", metavar="RIG", help="rig.yaml")
     part.add_argument("source", metavar="SOURCE", help=SOURCE)
     add_topic(part)
+    add_ros_domain(part)
     add_server(part)
     part.add_argument(
         "--seconds", metavar="S", type=positive, default=SECONDS, help=f"how long to look (default {SECONDS:g})"
@@ -66,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     """Look at the frames; 1 where something is wrong."""
     if options.watch and options.blink:
         raise InputError("--watch and --blink exclude each other: a live page, or the delay of the stamps")
-    rig, source = open_fitting(options.source, load_rig(options.rig), say, options.topic)
+    rig, source = open_fitting(options.source, load_rig(options.rig), say, options.topic, options.ros_domain)
     warm_up(*localizing(rig, options.source))
     with joined(source, options):
         if options.watch:

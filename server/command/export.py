@@ -49,7 +49,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
         metavar="RECORDING",
         type=named,
         nargs="?",
-        help=f"a recording's folder, or JSON lines ({SUFFIX}) of `asterism locate`, `fuse` or `simulate`",
+        help=f"a recording's folder, or JSON lines ({SUFFIX}) of `asterism locate` or `simulate`",
     )
     part.add_argument(
         "--to",

@@ -14,13 +14,15 @@ from asterism.server.sources.open_source import is_endless, open_source
 from asterism.server.sources.source import Say, Source
 
 
-def open_fitting(text: str, rig: Rig, say: Say, topic: str | None = None) -> tuple[Rig, Source]:
+def open_fitting(
+    text: str, rig: Rig, say: Say, topic: str | None = None, ros_domain: int | None = None
+) -> tuple[Rig, Source]:
     """The source that ``text`` names, as `open_source` has it, and the rig that its images go with.
 
     Raises InputError and WorldError as `open_source` does.
     """
     rig = fitting(text, rig, say, topic)
-    return rig, open_source(text, rig, say, topic=topic)
+    return rig, open_source(text, rig, say, topic=topic, ros_domain=ros_domain or 0)
 
 
 def fitting(text: str, rig: Rig, say: Say, topic: str | None = None) -> Rig:

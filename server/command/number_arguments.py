@@ -4,6 +4,7 @@ import argparse
 import math
 import re
 
+from asterism.protocol.ros2.names import LARGEST_DOMAIN
 from asterism.protocol.yaml_file import describe
 
 MOST_DIGITS = 15
@@ -43,6 +44,14 @@ def port(text: str) -> int:
     value = count(text)
     if value > 65_535:
         raise argparse.ArgumentTypeError(f"{text!r}, expected a port, 1 to 65535")
+    return value
+
+
+def ros_domain(text: str) -> int:
+    """A domain of ROS 2."""
+    value = _digits(text)
+    if value is None or value > LARGEST_DOMAIN:
+        raise argparse.ArgumentTypeError(f"{describe(text)}, expected a domain of ROS 2, 0 to {LARGEST_DOMAIN}")
     return value
 
 

@@ -2,6 +2,7 @@
 
 import argparse
 from contextlib import ExitStack
+from functools import partial
 from typing import TYPE_CHECKING
 
 from asterism.protocol.errors import InputError
@@ -12,17 +13,19 @@ from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.fitted_rig import open_fitting
 from asterism.server.command.number_arguments import count, port, positive, size
-from asterism.server.command.outlets import add_outlets, open_outlets
+from asterism.server.command.outlets import add_outlets, open_outlets, ros_keys
 from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing, add_topic, named
 from asterism.server.output import check_folder_of_many
 from asterism.server.service.live_line import LiveLine
 from asterism.server.service.on_air import Place, on_air
 from asterism.server.service.recovery import Recovery
 from asterism.server.service.reload import reload_on_hangup
+from asterism.server.service.ros2.told_camera import difference
 from asterism.server.service.say import say, say_warnings
 from asterism.server.service.serve import Outlets, Run, Stop, stop_on_signals
 from asterism.server.sources.camera import clock_of
-from asterism.server.sources.foreign.network import NetworkImages
+from asterism.server.sources.foreign.arriving import ArrivingImages
+from asterism.server.sources.foreign.ros_images import RosImages
 from asterism.server.sources.source import Source
 
 if TYPE_CHECKING:
@@ -77,8 +80,8 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("--record-limit is for a recording; add --record DIR")
     rig = load_rig(options.rig)
     say_warnings(rig)
-    place = Place(options.listen, options.connect, options.zenoh)
-    rig, source = open_fitting(options.source, rig, say, options.topic)
+    place = Place(options.listen, options.connect, options.zenoh, ros_keys(options, rig))
+    rig, source = open_fitting(options.source, rig, say, options.topic, options.ros_domain)
     if source.live and options.rate is not None:
         raise InputError("--rate is for images and videos; a camera's rate stands in the rig (capture.rate)")
     clock, stop = clock_of(source), Stop()
@@ -86,10 +89,12 @@ def run(options: argparse.Namespace) -> int:
         collector = _metrics(options, rig, stack)
         air = stack.enter_context(on_air(place, rig, clock, stop.interrupt))
         warm_up(*localizing(rig, options.source))
-        if isinstance(source, NetworkImages):
+        if isinstance(source, RosImages):
+            source.compare = partial(difference, rig.camera)
+        if isinstance(source, ArrivingImages):
             source.join(air.session, listens=not joins(place.connect, place.options))
         last.enter_context(stop_on_signals(stop))  # until all is closed: a second Ctrl-C changes nothing
-        others = open_outlets(options, rig, stack)
+        others = open_outlets(options, rig, air, stack)
         robots = f"{len(rig.robots)} robot{'s' * (len(rig.robots) > 1)}"
         say(f"serving {robots} of camera '{rig.camera.name}' from {source.name} at {place}")
         recorder = _recorder(options, rig, source)

@@ -4,8 +4,10 @@ import argparse
 import json
 from pathlib import Path
 
+from asterism.server.command.number_arguments import ros_domain
+
 FILES = "a folder or glob of images, a video, a recording, an MCAP file or a ROS bag"
-CAMERA_OR_FILES = f"a camera (0, /dev/video0 or a link, genicam:SERIAL, zenoh:KEY), {FILES}"
+CAMERA_OR_FILES = f"a camera (0, /dev/video0 or a link, genicam:SERIAL, zenoh:KEY, ros2:TOPIC), {FILES}"
 SOURCE = f"{CAMERA_OR_FILES}, or sim"
 FINITE_SOURCE = FILES
 FORWARD, BOTH_WAYS = "forward", "both"  # of `--smooth`
@@ -14,6 +16,13 @@ FORWARD, BOTH_WAYS = "forward", "both"  # of `--smooth`
 def add_topic(part: argparse.ArgumentParser) -> None:
     """Which of a file's topics SOURCE is."""
     part.add_argument("--topic", metavar="TOPIC", help="of an MCAP file or a ROS bag, where several hold images")
+
+
+def add_ros_domain(part: argparse.ArgumentParser) -> None:
+    """The domain of ROS 2."""
+    part.add_argument(
+        "--ros-domain", metavar="N", type=ros_domain, help="of ROS 2, 0 to 232 as in ROS_DOMAIN_ID (default: 0)"
+    )
 
 
 def add_server(part: argparse.ArgumentParser) -> None:

@@ -16,11 +16,14 @@ from asterism.server.service.publish import Clock, Publisher
 
 
 class Place(NamedTuple):
-    """Where on the network, as a person said it: an endpoint to listen on, or one to join, and a file of options."""
+    """Where on the network, as a person said it: an endpoint to listen on, or one to join, and a file of options; with
+    ROS 2's nodes there, which of its keys are the server's own.
+    """
 
     listen: str | None = None
     connect: str | None = None
     options: Path | None = None
+    ros_keys: tuple[str, ...] | None = None
 
     def __str__(self) -> str:
         return str(self.connect or self.listen or self.options or DEFAULT_ENDPOINT)

@@ -3,6 +3,7 @@
 import logging
 import queue
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Generic, TypeVar
 
@@ -112,38 +113,42 @@ class Ticker:
 
 class Newest(Generic[T]):
     """Calls a function with what it was given last, from a thread of its own: who is slow misses values, and holds up
-    nobody.
+    nobody. ``waiting`` values may wait, in order; then the oldest goes.
     """
 
-    def __init__(self, call: Callable[[T], None], name: str) -> None:
+    def __init__(self, call: Callable[[T], None], name: str, waiting: int = 1) -> None:
         self._call = call
         self._name = name
         self._ready = threading.Condition()
-        self._value: list[T] = []
+        self._values: deque[T] = deque(maxlen=waiting)
         self._closed = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     def give(self, value: T) -> None:
-        """To be handed on when the function is done with the one before, unless a newer one comes until then."""
+        """To be handed on when the function is done with those before, unless so many newer ones come until then."""
         with self._ready:
-            self._value = [value]
+            self._values.append(value)
             self._ready.notify()
 
-    def close(self, timeout_s: float = 5.0) -> None:
-        """Hand nothing on any more; a call that does not return within that time is left behind."""
+    def close(self, timeout_s: float = 5.0, rest: bool = False) -> None:
+        """Hand nothing on any more, but for the ``rest`` that waits, if that is wanted; a call that does not return
+        within that time is left behind.
+        """
         with self._ready:
             self._closed = True
+            if not rest:
+                self._values.clear()
             self._ready.notify()
         self._thread.join(timeout_s)
 
     def _run(self) -> None:
         while True:
             with self._ready:
-                self._ready.wait_for(lambda: self._value or self._closed)
-                if self._closed:
+                self._ready.wait_for(lambda: self._values or self._closed)
+                if not self._values:
                     return
-                value = self._value.pop()
+                value = self._values.popleft()
             try:
                 self._call(value)
             except Exception:  # a viewer's fault must not end what shows the next frame

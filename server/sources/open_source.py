@@ -9,6 +9,7 @@ from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig
 from asterism.server.sources.files import ImageFiles, image_files
 from asterism.server.sources.foreign.network import SCHEME, NetworkImages
+from asterism.server.sources.foreign.ros_images import ROS_SCHEME, RosImages, is_ros
 from asterism.server.sources.foreign.topic_frames import ForeignFrames, holds_topics, open_topics
 from asterism.server.sources.genicam.camera import genicam_camera
 from asterism.server.sources.genicam.listing import PREFIX
@@ -23,10 +24,12 @@ from asterism.server.sources.video import VideoFile
 _LOG = logging.getLogger(__name__)
 
 
-def open_source(text: str, rig: Rig | None, say: Say, seed: int = 0, topic: str | None = None) -> Source:
+def open_source(
+    text: str, rig: Rig | None, say: Say, seed: int = 0, topic: str | None = None, ros_domain: int = 0
+) -> Source:
     """The source that a person names: `0`, `/dev/video0`, `genicam:...`, a folder or glob of images, a video, a
     recording, `sim`, an MCAP file or a bag with images on a ``topic`` (None: the only one), or images of the network,
-    `zenoh:KEY`, which `NetworkImages.join` must be told the session of.
+    `zenoh:KEY` or `ros2:TOPIC` in ``ros_domain``, which `ArrivingImages.join` must be told the session of.
 
     Without a rig images may be of any size, all of the same, and there is nothing to simulate.
 
@@ -38,7 +41,11 @@ def open_source(text: str, rig: Rig | None, say: Say, seed: int = 0, topic: str 
     elif topic is not None:
         raise InputError(f"--topic {topic}: {text} has no topics; they are in MCAP files and bags of ROS")
     else:
-        source = _open(text, rig, say, seed)
+        source = (
+            RosImages(text.removeprefix(ROS_SCHEME), ros_domain, rig, say)
+            if is_ros(text)
+            else _open(text, rig, say, seed)
+        )
     many = "frames without end" if source.length is None else f"{source.length} frames"
     _LOG.debug("%s is a %s: %s at %g Hz", text, type(source).__name__, many, source.rate_hz)
     return source
@@ -73,8 +80,8 @@ def _open(text: str, rig: Rig | None, say: Say, seed: int) -> Source:
         base = Path(path.anchor) if path.is_absolute() else Path()
         return image_files(text, list(base.glob(str(path.relative_to(base)))), rig, say)
     raise InputError(
-        f"{text}: there is no such source; expected a camera (0, /dev/video0 or a link, genicam:SERIAL, zenoh:KEY), a "
-        "folder or glob of images, a video, a recording, an MCAP file or a ROS bag, or sim"
+        f"{text}: there is no such source; expected a camera (0, /dev/video0 or a link, genicam:SERIAL, zenoh:KEY, "
+        "ros2:TOPIC), a folder or glob of images, a video, a recording, an MCAP file or a ROS bag, or sim"
     )
 
 
@@ -87,7 +94,7 @@ def _is_recorded(path: Path) -> bool:
 
 def is_endless(text: str) -> bool:
     """Whether a source never ends: a camera, the network, the simulator."""
-    return text == "sim" or text.startswith((SCHEME, PREFIX)) or is_v4l2(text)
+    return text == "sim" or text.startswith((SCHEME, ROS_SCHEME, PREFIX)) or is_v4l2(text)
 
 
 def refuse_endless(text: str, command: str) -> None:

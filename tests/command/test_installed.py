@@ -25,7 +25,14 @@ def test_every_module_is_in_the_extra_that_is_named() -> None:
         assert distribution in distributions(extras[extra]), module
     named = {distribution for distribution, _ in MODULES.values()}
     wanted = distributions(
-        [*PROJECT["dependencies"], *extras["server"], *extras["review"], *extras["metrics"], *extras["ros"]]
+        [
+            *PROJECT["dependencies"],
+            *extras["server"],
+            *extras["review"],
+            *extras["metrics"],
+            *extras["ros"],
+            *extras["parquet"],
+        ]
     )
     assert wanted == named
 

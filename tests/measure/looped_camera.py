@@ -73,7 +73,7 @@ def serve_film(
 if __name__ == "__main__":
     film, rate, rig_file, *options = sys.argv[1:]
 
-    def open_fitting(name: str, rig: Rig, say: Say, topic: str | None = None) -> tuple[Rig, Camera]:
+    def open_fitting(name: str, rig: Rig, say: Say, *_: object) -> tuple[Rig, Camera]:
         return rig, Camera(name, lambda: LoopedDevice(np.load(film, mmap_mode="r"), float(rate)), rig, say)
 
     serve.open_fitting = open_fitting

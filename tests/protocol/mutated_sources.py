@@ -8,14 +8,19 @@ import cv2
 import numpy as np
 
 from asterism.protocol.errors import InputError
+from asterism.protocol.ros2.types import COMPRESSED_IMAGE, IMAGE
 from asterism.server.calibration.lens.foreign_camera import read_foreign_camera
+from asterism.server.service.ros2.told_camera import difference
 from asterism.server.sources.foreign.image_messages import picture
 from asterism.server.sources.foreign.network import told_by
-from asterism.server.sources.foreign.ros_messages import BadMessage, read_compressed, read_image
+from asterism.server.sources.foreign.ros_images import RosImages
+from asterism.server.sources.foreign.ros_messages import BadMessage, read_camera_info, read_compressed, read_image
 from asterism.server.sources.foreign.topic_frames import ForeignFrames, open_topics
+from tests.rigs import make_camera
 from tests.sources.foreign.foreign_files import (
     ROS1,
     ROS2,
+    camera_info,
     compressed,
     raw,
     ros_compressed,
@@ -26,6 +31,8 @@ from tests.sources.foreign.foreign_files import (
 )
 
 _IMAGE = np.random.default_rng(3).integers(0, 200, (48, 64)).astype(np.uint8)
+_CAMERA = make_camera(64, 48, 80.0)
+_TOPIC = RosImages("/fuzz", 0, None, print)
 _STAMP_NS = 1_700_000_000_000_000_001
 
 
@@ -58,6 +65,18 @@ def ros_message(payload: bytes) -> object:
         raise InputError(str(problem)) from None
     assert found.image.shape[:2] == (48, 64)
     return found.image.shape
+
+
+def ros2_image(payload: bytes) -> object:
+    """As `ros2:TOPIC` reads them; the first byte says of which kind: images, or the calibration beside them."""
+    kinds = {b"i": IMAGE, b"c": COMPRESSED_IMAGE}
+    try:
+        if payload[:1] not in kinds:
+            return difference(_CAMERA, read_camera_info(payload[1:]))
+        told = _TOPIC.told(kinds[payload[:1]].ros, payload[1:])
+        return picture(told, check_size).image.shape
+    except BadMessage as problem:
+        raise InputError(str(problem)) from None
 
 
 def camera_of(text: str) -> object:
@@ -98,6 +117,22 @@ def ros_messages() -> tuple[bytes, ...]:
         b"i" + bytes(ROS2.serialize_cdr(one, one.__msgtype__)),
         b"c" + bytes(ROS2.serialize_cdr(other, other.__msgtype__)),
     )
+
+
+def ros2_images() -> tuple[bytes, ...]:
+    """And calibrations: another than the camera's, of a region, of another model."""
+    told = [
+        camera_info([85.0, 0, 33.0, 0, 85.0, 22.0, 0, 0, 1], [0.1, 0.0, 0.0, 0.0, 0.0], (64, 48)),
+        camera_info(
+            [160.0, 0, 66.0, 0, 160.0, 44.0, 0, 0, 1],
+            [0.1] * 4,
+            (128, 96),
+            model="equidistant",
+            binning=(2, 2),
+            region=(0, 0, 128, 96),
+        ),
+    ]
+    return (*ros_messages(), *(b"n" + bytes(ROS2.serialize_cdr(one, one.__msgtype__)) for one in told))
 
 
 CALIBRATIONS = (

@@ -182,7 +182,7 @@ TARGETS = {
     "survey_csv": Target(_in_a_file(read_survey_csv, ".csv"), SPREADSHEETS, mutated_table, 500, 6),
     "pose_lines": Target(_in_a_file(_exported, ".jsonl"), (LINES,), mutated_yaml, 500, 6),
     "odometry": Target(decode_odometry, mutated_clients.poses(), mutated_message, 4000, 190),
-    "pose": Target(mutated_clients.pose, mutated_clients.poses(), mutated_message, 5000, 220),
+    "pose": Target(mutated_clients.pose, mutated_clients.poses(), mutated_message, 5000, 210),
     "report": Target(mutated_clients.report, _REPORTS, mutated_message, 2700, 140),
     "status": Target(mutated_clients.status, (to_bytes(make_golden.status()),), mutated_message, 1000, 40),
     "beat": Target(mutated_clients.beat, (to_bytes(make_golden.beat()),), mutated_message, 1000, 40),
@@ -193,6 +193,7 @@ TARGETS = {
     "bmp": Target(_in_a_file(_image, ".bmp"), (_encoded(".bmp"),), mutated_bmp, 300, 10),
     "image_message": Target(mutated_sources.image_message, mutated_sources.image_messages(), mutated_message, 1000, 40),
     "ros_message": Target(mutated_sources.ros_message, mutated_sources.ros_messages(), mutated_bytes, 500, 20),
+    "ros2_image": Target(mutated_sources.ros2_image, mutated_sources.ros2_images(), mutated_bytes, 300, 10),
     "calibration": Target(mutated_sources.camera_of, mutated_sources.CALIBRATIONS, mutated_yaml, 300, 10),
     "film_mcap": Target(
         mutated_sources.frames_of_mcap, mutated_sources.files("mcap"), mutated_recordings.mutated_file, 150, 10

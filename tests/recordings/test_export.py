@@ -2,6 +2,7 @@
 
 import csv
 import math
+import shutil
 from itertools import islice
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from asterism.recordings.export.csv_files import write_csv
 from asterism.recordings.export.frames import ExportedFrame, ExportedRobot, frames_of, points_of
 from asterism.recordings.export.parquet_file import write_parquet
 from asterism.recordings.export.tum_files import write_tum
+from asterism.recordings.mend import mend
 from asterism.recordings.reader import Recording
 from tests.helpers import assert_poses_close, random_pose
 from tests.recordings.exported import FRAMES, LOST_IN, REASON, RELOADED, exposed_ns, record
@@ -48,6 +50,7 @@ def test_every_number_of_the_csv_is_what_was_recorded(tmp_path: Path, recorded: 
         with path.open(newline="") as stream:
             for row in csv.DictReader(stream):
                 key = (int(row["frame"]), row["robot"])
+                assert not any("e" in row[name] for name in NUMBERS), "PlotJuggler takes an exponent for text"
                 assert row["time_s"] == seconds(int(row["exposed_ns"])) == seconds(exposed_ns(key[0]))
                 if key in poses:
                     seen.add(key)
@@ -176,6 +179,26 @@ def test_odometry_without_its_report_is_a_frame_too(recorded: tuple[Recording, P
     for key, pose in poses.items():
         assert told[key].position == tuple(pose.position.tolist())
         assert told[key].velocity is not None
+
+
+def test_what_was_recovered_is_exported_as_far_as_it_goes(
+    tmp_path: Path, recorded: tuple[Recording, Poses], rng: np.random.Generator
+) -> None:
+    recording, poses = recorded
+    shutil.copytree(recording.path, tmp_path / "cut")
+    last = sorted((tmp_path / "cut").glob("poses-*.mcap"))[-1]
+    last.write_bytes(last.read_bytes()[: -int(rng.integers(200, 2000))])
+    list(mend([last]))
+    cut = Recording(tmp_path / "cut")
+    write_csv(frames(cut), tmp_path, points(cut))
+    found = 0
+    for path in tmp_path.glob("*.csv"):
+        with path.open(newline="") as stream:
+            for row in csv.DictReader(stream):
+                if row["x_m"]:
+                    check(row, poses[int(row["frame"]), row["robot"]])
+                    found += 1
+    assert found >= sum(sequence < RELOADED for sequence, _ in poses), "the first file is whole"
 
 
 def test_only_so_much_is_read_as_is_asked_for(recorded: tuple[Recording, Poses]) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
@@ -37,10 +38,10 @@ def bag(recorded: tuple[Recording, dict[tuple[int, str], RobotPose]], tmp_path_f
 @pytest.fixture(scope="module")
 def messages(bag: Path) -> Bag:
     found: Bag = {}
-    with Reader(bag) as reader:
+    with AnyReader([bag]) as reader:  # decodes by the definitions in the bag
         for connection, time_ns, data in reader.messages():
             assert connection.digest == STORE.hash_rihs01(connection.msgtype)
-            found.setdefault(connection.topic, []).append((time_ns, STORE.deserialize_cdr(data, connection.msgtype)))
+            found.setdefault(connection.topic, []).append((time_ns, reader.deserialize(data, connection.msgtype)))
     return found
 
 

@@ -31,6 +31,7 @@ NAMES = {
     "equidistant": "equidistant",
     "fisheye": "equidistant",
 }
+NO_FOCAL_PX = 1e-6  # and less is as good as 0
 ACCEPTED = "plumb_bob (radtan), rational_polynomial, equidistant (fisheye)"
 INFO_NAMES = "sensor_msgs/CameraInfo, foxglove.CameraCalibration"
 
@@ -95,6 +96,11 @@ INFO_TYPES: dict[tuple[str, str], Callable[[bytes], CameraInfoTold]] = {
 }
 
 
+def camera_of(told: CameraInfoTold, source: str, name: str) -> Camera:
+    """The camera that a message tells of, for the images as they come. Raises InputError."""
+    return _camera(told, "", source, None, name).camera
+
+
 def _camera(told: CameraInfoTold, kind: str, source: str, model: str | None, name: str) -> ForeignCamera:
     """The camera, checked, for the images as they come."""
     if not (16 <= told.width <= 65_535 and 16 <= told.height <= 65_535):
@@ -135,7 +141,7 @@ def _check_matrix(matrix: Floats, height: int, source: str) -> None:
     where = f"{source}: the camera's matrix"
     if not np.isfinite(matrix).all() or abs(matrix).max() > 1e9:
         raise InputError(f"{where}: holds what is no number of px")
-    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
+    if not (matrix[0, 0] > NO_FOCAL_PX and matrix[1, 1] > NO_FOCAL_PX):
         raise InputError(
             f"{where}: fx = {matrix[0, 0]:g} and fy = {matrix[1, 1]:g}, expected focal lengths above 0 px; drivers "
             "tell zeros for a camera that was never calibrated"
@@ -154,7 +160,7 @@ def _check_matrix(matrix: Floats, height: int, source: str) -> None:
 
 def _model(told: CameraInfoTold, asked: str | None, source: str) -> str:
     """Asterism's name of the model. Where the file has none, the number of coefficients tells, or a person."""
-    if told.model in ("", "none") and not told.distortion.any():
+    if told.model in ("", "none") and not any(told.distortion.tolist()):
         return asked or "plumb_bob"
     if told.model:
         if told.model not in NAMES:

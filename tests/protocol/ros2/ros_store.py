@@ -7,11 +7,6 @@ from rosbags.typesys import Stores, get_typestore
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
-def made(name: str, **fields: Any) -> Any:
-    """A message of a type such as ``nav_msgs/msg/Odometry``."""
-    return STORE.types[name](**fields)
-
-
 def in_ros(payload: bytes, name: str) -> Any:
     """What ROS would read in the bytes."""
     return STORE.deserialize_cdr(payload, name)

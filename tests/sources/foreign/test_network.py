@@ -108,7 +108,7 @@ def test_images_of_both_kinds_come_through_exactly_and_by_their_own_clock(wire: 
 
 
 def test_silence_is_said_and_so_is_the_return(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("asterism.server.sources.foreign.network.SILENT_S", 0.05)
+    monkeypatch.setattr("asterism.server.sources.foreign.arriving.SILENT_S", 0.05)
     taken: list[int] = []
     thread = threading.Thread(target=lambda: taken.extend(frame.index for frame in wire.source.frames()))
     thread.start()
@@ -123,7 +123,7 @@ def test_silence_is_said_and_so_is_the_return(wire: Wire, monkeypatch: pytest.Mo
 
 
 def test_who_has_no_time_for_them_is_not_told_that_none_come(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("asterism.server.sources.foreign.network.SILENT_S", 0.001)
+    monkeypatch.setattr("asterism.server.sources.foreign.arriving.SILENT_S", 0.001)
     for k in range(3):
         wire.put(raw(pattern(k), k + 1).SerializeToString())
     until(lambda: wire.source._arrived.qsize() == 3)
@@ -135,7 +135,7 @@ def test_who_has_no_time_for_them_is_not_told_that_none_come(wire: Wire, monkeyp
 
 
 def test_what_comes_instead_of_images_is_said(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("asterism.server.sources.foreign.network.SILENT_S", 0.05)
+    monkeypatch.setattr("asterism.server.sources.foreign.arriving.SILENT_S", 0.05)
     stop = threading.Event()
 
     def flood() -> None:
@@ -193,7 +193,7 @@ def test_nothing_that_comes_in_ends_a_server(wire: Wire) -> None:
 
 
 def test_a_message_longer_than_any_image_is_not_kept(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("asterism.server.sources.foreign.network.MOST_BYTES", 4000)
+    monkeypatch.setattr("asterism.server.sources.foreign.arriving.MOST_BYTES", 4000)
     wire.put(raw(pattern(0), 5, pad=100).SerializeToString())
     wire.put(raw(pattern(1), 6).SerializeToString())
     assert next(wire.source.frames()).index == 1
