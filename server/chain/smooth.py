@@ -25,7 +25,7 @@ from asterism.protocol.rig import Rig
 from asterism.server.chain.belief import Belief, Sight, Step, begin, go_on, together, twists
 from asterism.server.chain.frame import FrameResult
 from asterism.server.chain.manners import MANNERS, changes
-from asterism.server.chain.stays import Told, what_stays
+from asterism.server.chain.stays import Told, drifts, what_stays
 from asterism.server.chain.turns import exp_rotations
 from asterism.server.pose.solve import Lost, PoseEstimate
 from asterism.server.pose.track import FORGET_NS
@@ -162,6 +162,7 @@ def estimates(belief: Belief, stays: Floats) -> list[tuple[Pose, Floats, Velocit
     covariances[:, :6, :6] += stays
     rotations = exp_rotations(states[:, 3:6]) @ belief.rotations
     told, spreads = twists(rotations, states, covariances)
+    spreads += drifts(told, rotations, stays)
     pushes, swerves = (belief.weights @ _TO_COME).T.tolist()
     return [
         (

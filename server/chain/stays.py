@@ -17,6 +17,10 @@ from asterism.protocol.rig import Rig
 from asterism.server.chain.turns import hats
 from asterism.server.pose.track import LEAST_SHARE
 
+# By how many sigmas what the rig has wrong of a robot's LEDs changes with the robot, by its own axes: per rad of turn,
+# and per m of way. As six LEDs in a plane are seen from 1.3 m above, each off by as much.
+BY_TURN, BY_WAY = 3.0, 4.0
+
 
 class Told(NamedTuple):
     """What a frame tells of n poses: ``positions`` (n, 3) m, ``covariances`` (n, 6, 6), the mean variance of a
@@ -55,3 +59,14 @@ def what_stays(told: Told, rig: Rig, camera: tuple[Pose, Floats] | None = None) 
     share = np.maximum(told.own_px2 / (told.own_px2 + misfit_px2), LEAST_SHARE)
     stays: Floats = by_rig + (1.0 - share)[:, None, None] * (told.covariances - by_rig)
     return stays
+
+
+def drifts(twists: Floats, rotations: Floats, stays: Floats) -> Floats:
+    """What the change of what ``stays`` (n, 6, 6) adds to the covariances (n, 6, 6) of ``twists`` (n, 6), both in the
+    robots' own axes: a robot that turns or drives is seen from elsewhere, and its pose drifts as if it moved so.
+    """
+    rate2 = BY_WAY**2 * np.sum(twists[:, :3] ** 2, axis=1) + BY_TURN**2 * np.sum(twists[:, 3:] ** 2, axis=1)
+    back = np.zeros_like(stays)
+    back[:, :3, :3] = back[:, 3:, 3:] = np.swapaxes(rotations, 1, 2)
+    drift: Floats = rate2[:, None, None] * (back @ stays @ np.swapaxes(back, 1, 2))
+    return drift

@@ -118,20 +118,23 @@ def test_the_recorded_frames_solved_again_give_the_same_poses(
             np.testing.assert_array_equal(robot["position"], told[robot["id"], sequence]["position"])
 
 
+@pytest.mark.parametrize("way", ["forward", "both"])
 def test_smoothed_poses_are_another_thing_and_say_so(
-    film: Path, located: tuple[list[dict[str, Any]], str], tmp_path: Path
+    film: Path, located: tuple[list[dict[str, Any]], str], tmp_path: Path, way: str
 ) -> None:
     out = tmp_path / "smoothed.jsonl"
-    assert asterism("locate", film / "rig.yaml", film / "frames", "-o", out, "--smooth").returncode == 0
+    assert asterism("locate", film / "rig.yaml", film / "frames", "-o", out, "--smooth", way).returncode == 0
     for plain, smoothed in zip(located[0], lines_of(out), strict=True):
         assert plain["lost"] == smoothed["lost"]
         for before, after in zip(plain["robots"], smoothed["robots"], strict=True):
             assert "smoothed" not in before
             assert after["smoothed"] is True
+            assert after["filter"].endswith("backwards") == (way == "both")
+            assert len(after["velocity"]["covariance"]) == 36
             assert before["rms_px"] == after["rms_px"]
             away = np.linalg.norm(np.subtract(before["position"], after["position"]))
             assert away < 2e-3
-            assert away > 0 or plain["exposed_ns"] == located[0][0]["exposed_ns"]
+            assert away > 0 or (plain["exposed_ns"] == located[0][0]["exposed_ns"] and way == "forward")
 
 
 def test_a_server_that_smooths_says_so_on_the_wire(film: Path, tmp_path: Path) -> None:
