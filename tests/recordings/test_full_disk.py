@@ -97,7 +97,8 @@ def test_frames_stop_first_and_all_goes_on_when_there_is_room(
     write(40, 60)
     made.close({})
     reports, images = recorded(made.folder)
-    assert set(range(30)) | set(range(41, 60)) <= set(reports)
+    # The thread that writes may have had 29 in its hands when the disk became full; it is counted below then.
+    assert set(range(29)) | set(range(41, 60)) <= set(reports)
     assert set(range(41, 60)) <= set(images)
     assert images[0] == 0
     assert made.messages_left_out == 3 * (60 - len(reports))
