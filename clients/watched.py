@@ -159,8 +159,8 @@ class RobotTable:
         sentences = []
         for robot in unknown:
             near = difflib.get_close_matches(robot, known, n=1, cutoff=0.5)
-            hint = f"did you mean '{near[0]}'? " if near else ""
-            sentences.append(f"no rig here has a robot '{robot}'; {hint}There are: {', '.join(known)}")
+            hint = f"did you mean '{near[0]}'? There" if near else "there"
+            sentences.append(f"no rig here has a robot '{robot}'; {hint} are: {', '.join(known)}")
         return printable(". ".join(sentences))
 
     def rows(self) -> list[Row]:
@@ -182,13 +182,13 @@ class RobotTable:
 
     def draw(self, width: int) -> Text:
         """The table as it is now, in at most ``width`` cells."""
-        rows = self.rows()
-        lines = layout.table(rows, width) if rows else [Text(self.nothing, style="dim")]
+        rows, mistyped = self.rows(), self.mistyped()
+        lines = layout.table(rows, width) if rows else [Text(self.nothing, style="dim")] if not mistyped else []
         now_ns = self._clock()
         with self._lock:
             for name, camera in sorted(self._cameras.items()):
                 lines += _server_lines(name, camera.status, self.servers[name].link(now_ns), width)
-        notes = (self.mistyped(), printable(self._refused))
+        notes = (mistyped, printable(self._refused))
         return Text("\n").join([*lines, *(Text(note, style="red") for note in notes if note)])
 
 

@@ -53,8 +53,8 @@ class _Robot(msgspec.Struct):
 
 class _Line(msgspec.Struct):
     frame: str
-    exposed_ns: int
     robots: list[_Robot]
+    exposed_ns: int | msgspec.UnsetType = msgspec.UNSET
     lost: dict[str, str] = {}
 
 
@@ -81,6 +81,8 @@ def _decoded(decoder: "msgspec.json.Decoder[_Line]", line: bytes, where: str) ->
 
 
 def _frame(line: _Line, number: int, where: str) -> ExportedFrame:
+    if line.exposed_ns is msgspec.UNSET:
+        raise InputError(f"{where}: tells no exposed_ns, expected one in every line (a survey needs a column time_s)")
     if not 0 <= line.exposed_ns < 1 << 63:
         raise InputError(f"{where}: exposed_ns: {line.exposed_ns}, expected ns, 0 to 2^63 - 1")
     found: dict[str, ExportedRobot] = {}

@@ -30,3 +30,10 @@ class Written:
                 self.backwards = frame.name
             before = frame.exposed_ns
             yield frame
+
+
+def counts(poses: int, robots: int, frames: int) -> str:
+    """What was written, in words: `2 poses of 1 robot, 2 frames`."""
+    named = (("pose", poses), ("robot", robots), ("frame", frames))
+    pose, robot, frame = (f"{count} {name}{'s' * (count != 1)}" for name, count in named)
+    return f"{pose} of {robot}, {frame}"

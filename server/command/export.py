@@ -18,7 +18,7 @@ from asterism.recordings.export.lines import SUFFIX, lines_of
 from asterism.recordings.export.parquet_file import write_parquet
 from asterism.recordings.export.ros_bag import write_bag
 from asterism.recordings.export.tum_files import write_tum
-from asterism.recordings.export.written import Written
+from asterism.recordings.export.written import Written, counts
 from asterism.recordings.reader import Recording
 from asterism.server.command.exported_truth import write_truth
 from asterism.server.command.progress import progress
@@ -172,6 +172,7 @@ def _remark(path: Path, written: Written) -> None:
 def _told(out: Path, written: Written) -> str:
     poses = sum(written.located.values())
     never = [robot for robot, count in written.located.items() if not count]
+    found = len(written.located) - len(never)
     files = f" in {len(written.files)} files" if len(written.files) > 1 else ""
-    told = f"{out}: {poses} poses of {len(written.located) - len(never)} robots, {written.frames} frames{files}"
+    told = f"{out}: {counts(poses, found, written.frames)}{files}"
     return told + (f"; never located: {', '.join(never[:MOST_NAMED])}" if never else "")

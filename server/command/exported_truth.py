@@ -5,6 +5,7 @@ from typing import Any
 
 import msgspec
 
+from asterism.recordings.export.written import counts
 from asterism.server.calibration.survey.survey_csv import Row, read_survey_csv
 from asterism.server.output import new_file
 from asterism.server.service.say import say
@@ -28,7 +29,7 @@ def write_truth(survey: Path, out: Path, force: bool) -> int:
             told = {key: value for key, value in line.items() if value is not None}
             stream.write(encoder.encode(told) + b"\n")
     robots = len({row.robot for row in read.rows})
-    print(f"{out}: {len(read.rows)} poses of {robots} robots, {len(frames)} frames{output.note}")
+    print(f"{out}: {counts(len(read.rows), robots, len(frames))}{output.note}")
     return 0
 
 

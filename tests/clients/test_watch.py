@@ -244,6 +244,14 @@ def test_a_mistyped_robot_is_named_once_a_rig_is_known() -> None:
     assert table.mistyped() == "no rig here has a robot 'alhpa'; did you mean 'alpha'? There are: alpha, bravo"
     assert "did you mean 'alpha'?" in drawn(table)
     assert any("did you mean 'alpha'?" in line for line in table.lines())
+
+
+def test_of_a_robot_that_no_rig_has_it_is_not_said_that_no_frame_came() -> None:
+    table = RobotTable(["zulu"])
+    assert "no frame has arrived" in drawn(table)
+    tell(table)
+    assert table.mistyped() == "no rig here has a robot 'zulu'; there are: alpha, bravo"
+    assert "no frame has arrived" not in drawn(table)
     # A camera that delivers no frames answers for its rig all the same.
     silent = RobotTable(["alpah"])
     silent.servers["cam"].answers(decode_rig(encode_rig(make_golden.RIG)), 0, 1)

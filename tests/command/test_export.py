@@ -62,7 +62,7 @@ def test_every_format_of_a_recording(
 def test_lines_of_locate_are_taken_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = lines(tmp_path, LINE)
     assert main(["export", str(path), "--to", "csv", "-o", str(tmp_path / "csv")]) == 0
-    assert "1 poses of 1 robots, 1 frames in 2 files; never located: bravo" in capsys.readouterr().out
+    assert "1 pose of 1 robot, 1 frame in 2 files; never located: bravo" in capsys.readouterr().out
     assert "LOST,too few spots" in (tmp_path / "csv" / "bravo.csv").read_text()
     assert main(["export", str(path), "--to", "tum", "-o", str(tmp_path / "tum")]) == 0
     last = (tmp_path / "tum" / "alpha.tum").read_text().splitlines()[-1]
@@ -76,6 +76,7 @@ def test_what_is_wrong_is_refused_and_leaves_nothing(
     none = lines(tmp_path, LINE | {"robots": []}, name="none.jsonl")
     bad = lines(tmp_path, LINE, LINE | {"exposed_ns": "now"}, name="bad.jsonl")
     twice = lines(tmp_path, LINE | {"lost": {"alpha": "why"}}, name="twice.jsonl")
+    untimed = lines(tmp_path, {"frame": "0.png", "robots": []}, name="untimed.jsonl")
     survey = tmp_path / "survey.csv"
     survey.write_text("robot,frame,x_m,y_m\n")
     before = set(tmp_path.iterdir())
@@ -90,6 +91,7 @@ def test_what_is_wrong_is_refused_and_leaves_nothing(
         ((good, "--to", "rosbag2"), "lines tell no frames and no rig, expected a recording's folder"),
         ((none, "--to", "csv"), "holds no pose of any robot (1 frames), nothing to export"),
         ((bad, "--to", "tum"), "bad.jsonl: line 2: Expected `int`, got `str` - at `$.exposed_ns`"),
+        ((untimed, "--to", "tum"), "untimed.jsonl: line 1: tells no exposed_ns, expected one in every line"),
         ((twice, "--to", "tum"), "twice.jsonl: line 1: 'alpha' is told of twice"),
         ((survey, "--to", "tum"), "expected a recording's folder, or JSON lines as a file that ends in .jsonl"),
         ((tmp_path / "gone", "--to", "tum"), "there is no such recording"),

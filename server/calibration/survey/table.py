@@ -16,6 +16,7 @@ from asterism.protocol.text_file import read_text
 from asterism.protocol.yaml_file import shortened
 
 EXPECTED = "a spreadsheet's CSV with named columns"
+SAVED_AS = f"{EXPECTED} (in Excel: save as 'CSV UTF-8')"
 LONGEST = 256 << 20  # bytes
 MOST_COLUMNS = 1000
 _PARTED_BY = (";", "\t", ",")
@@ -81,7 +82,7 @@ def open_table(path: Path, known: Collection[str]) -> Table:
 
     Raises InputError for what is no text, has no header, names a column twice; its rows raise it as they are read.
     """
-    text = read_text(path, EXPECTED, LONGEST).removeprefix("\ufeff")
+    text = read_text(path, SAVED_AS, LONGEST).removeprefix("\ufeff")
     skipped = 0
     if re.match(r"sep=[;,\t]\r?\n", text):
         text, skipped = text[text.index("\n") + 1 :], 1

@@ -48,7 +48,7 @@ class RosImages(ArrivingImages):
     def __init__(self, topic: str, domain: int, rig: Rig | None, say: Say) -> None:
         """Raises InputError for what is no topic."""
         if problem := names.topic_problem(topic):
-            raise InputError(f"{ROS_SCHEME}{describe(topic)}: {problem}")
+            raise InputError(f"{ROS_SCHEME}{describe(topic)} {problem}")
         super().__init__(f"{ROS_SCHEME}{topic}", rig, say)
         self._topic = names.clean_namespace(topic)
         self._place = names.RosPlace(domain, "")

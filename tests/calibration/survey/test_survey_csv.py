@@ -137,6 +137,7 @@ def test_what_is_taken_for_something_is_said(tmp_path: Path) -> None:
         ("robot,frame,time_s,x_m,y_m,z_m\na,0,1,1,2,3\nb,0,2,1,2,3\n", "line 3, column 'time_s': another time than"),
         ("robot,time_s,x_m,y_m,z_m\na,-1,1,2,3\n", "'-1', expected a time from 0"),
         (b"\xff\xfer\0o\0", "is no text in UTF-8"),
+        ("robot;frame;x_mm;y_mm;z_mm;yaw [°]\n".encode("cp1252"), "in Excel: save as 'CSV UTF-8'"),
     ],
 )  # fmt: skip
 def test_what_is_unclear_is_refused(tmp_path: Path, text: str | bytes, words: str) -> None:
