@@ -104,7 +104,7 @@ def test_make_words_are_in_the_makefile() -> None:
 def test_installed_packages_are_ours() -> None:
     for page in pages():
         for package in re.findall(r"pip install (?:-\S+ )*'?([^\s'`]+)", page.read_text()):
-            assert re.fullmatch(r"asterism-localization(\[\w+\])?|\.(\[\w+\])?", package), f"{page.name}: {package}"
+            assert re.fullmatch(r"(asterism-localization|\.)(\[\w+(,\w+)*\])?", package), f"{page.name}: {package}"
 
 
 def test_every_measuring_program_is_listed() -> None:
