@@ -28,6 +28,22 @@ FOXGLOVE_PORT = 8765  # what Foxglove and PlotJuggler propose
 def add_outlets(part: argparse.ArgumentParser) -> None:
     """Which outlets there are to be."""
     part.add_argument("--rerun", action="store_true", help="show everything in the rerun viewer while it happens")
+    part.add_argument(
+        "--web",
+        metavar="PORT",
+        type=_port,
+        nargs="?",
+        const=WEB_PORT,
+        help=f"the same in a browser, at http://127.0.0.1:PORT (default: {WEB_PORT}; uses PORT + 1 too)",
+    )
+    part.add_argument(
+        "--foxglove",
+        metavar="PORT",
+        type=_port,
+        nargs="?",
+        const=FOXGLOVE_PORT,
+        help=f"for Foxglove and PlotJuggler, at ws://127.0.0.1:PORT (default: {FOXGLOVE_PORT})",
+    )
     part.add_argument("--ros2", action="store_true", help="tell nodes of ROS 2 too, those with rmw_zenoh")
     part.add_argument("--dds", action="store_true", help="tell nodes of ROS 2 too, those with Fast DDS or Cyclone DDS")
     add_ros_domain(part)
@@ -47,22 +63,6 @@ def add_outlets(part: argparse.ArgumentParser) -> None:
         type=_natnet_address,
         const=("127.0.0.1", 1510),
         help="answer programs that read OptiTrack's Motive, there (default: 127.0.0.1:1510)",
-    )
-    part.add_argument(
-        "--web",
-        metavar="PORT",
-        type=port,
-        nargs="?",
-        const=WEB_PORT,
-        help=f"the same in a browser, at http://127.0.0.1:PORT (default: {WEB_PORT}; uses PORT + 1 too)",
-    )
-    part.add_argument(
-        "--foxglove",
-        metavar="PORT",
-        type=port,
-        nargs="?",
-        const=FOXGLOVE_PORT,
-        help=f"for Foxglove and PlotJuggler, at ws://127.0.0.1:PORT (default: {FOXGLOVE_PORT})",
     )
 
 
@@ -103,6 +103,14 @@ def ros_keys(options: argparse.Namespace, rig: Rig) -> tuple[str, ...] | None:
     if place is None or not options.ros2:
         return () if is_ros(options.source) else None
     return tuple(owned_keys(place, (robot.id for robot in rig.robots)))
+
+
+def _port(text: str) -> int:
+    """One that may be left out, before what may be taken for it."""
+    try:
+        return port(text)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(f"{error}; RIG and SOURCE go before it") from None
 
 
 def _namespace(text: str) -> str:

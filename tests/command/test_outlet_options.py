@@ -16,6 +16,8 @@ from asterism.server.simulation.demo_rig import DEMO_RIG
         ("--mavlink alpha=drone:99999", "--mavlink alpha=drone:99999: port '99999', expected 1 to 65535"),
         ("--mavlink nobody=127.0.0.1:1", "the rig has no robot 'nobody', expected one of alpha, bravo, charlie"),
         ("--natnet somewhere", "--natnet somewhere: expected an IPv4 address of this machine, such as 127.0.0.1"),
+        ("--web frames/", "argument --web: 'frames/', expected a whole number above 0; RIG and SOURCE go before it"),
+        ("--foxglove 70000", "argument --foxglove: '70000', expected a port, 1 to 65535; RIG and SOURCE go before it"),
         ("--dds --ros-domain 233", "expected a domain of ROS 2, 0 to 232"),
         ("--dds --ros-namespace lab//north", "is no namespace for ROS, expected parts parted by single slashes"),
     ],

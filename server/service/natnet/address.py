@@ -17,6 +17,7 @@ def address(text: str) -> tuple[str, int]:
             raise ValueError
     except ValueError:
         raise InputError(
-            f"--natnet {text}: expected an IPv4 address of this machine, such as {LOOPBACK} or {LOOPBACK}:{PORT}"
+            f"--natnet {text}: expected an IPv4 address of this machine, such as {LOOPBACK} or {LOOPBACK}:{PORT}; "
+            "RIG and SOURCE go before it"
         ) from None
     return host, int(port or PORT)
