@@ -54,7 +54,7 @@ def add_outlets(part: argparse.ArgumentParser) -> None:
         type=port,
         nargs="?",
         const=WEB_PORT,
-        help=f"the same in a browser, at http://127.0.0.1:PORT (default: {WEB_PORT}; uses PORT + 1 too)",
+        help=f"show everything in a browser, at http://127.0.0.1:PORT (default: {WEB_PORT}; uses PORT + 1 too)",
     )
     part.add_argument(
         "--foxglove",

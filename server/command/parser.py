@@ -25,7 +25,7 @@ COMMANDS = {
     "recover": "make a recording that was cut off readable again",
     "example": "a folder to try everything in without hardware, with a README.md to follow",
     "simulate": "frames of simulated robots, with truth",
-    "calibrate": "camera, LED positions, world, LED offset, Z: find what is off and remove it",
+    "calibrate": "camera, LED positions, world, LED offset, Z, a tool's tip: find what is off and remove it",
     "board": "a calibration board to print, true to scale",
     "report": "the error budget of a rig and its workspace, with plots",
     "design": "constellations that cannot be confused, with a drill plan",
