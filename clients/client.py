@@ -64,7 +64,7 @@ class PoseClient:
         with self._lock:
             feed = self._feeds.get(robot)
             if feed is None:
-                feed = self._feeds[robot] = RobotFeed(robot, lambda: self.link)
+                feed = self._feeds[robot] = RobotFeed(robot, lambda: self.link, self._servers.robots)
                 self._follow_events()
                 self._connection.follow_token(self._prefix + keys.visible(self._camera, robot), feed._show)
                 self._follow(feed, robot)

@@ -1,6 +1,6 @@
 """What programs ask for: the poses of one robot, and those of all."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 
 from asterism.clients.feed import Feed
 from asterism.clients.link_state import FRESH_S, Link, LinkState
@@ -10,10 +10,11 @@ from asterism.clients.received_pose import ReceivedPose
 class RobotFeed(Feed):
     """One robot's poses, from whichever camera sees it. Made by `PoseClient`; safe to use from any thread."""
 
-    def __init__(self, robot: str, link: Callable[[], Link]) -> None:
+    def __init__(self, robot: str, link: Callable[[], Link], known: Callable[[], Collection[str]] = tuple) -> None:
         super().__init__()
         self.robot = robot
         self._link = link
+        self._known = known  # the robots that there are, none while that is not known
         self._visible_by: set[str] = set()
 
     def latest(self, max_age_s: float) -> ReceivedPose | None:
@@ -36,6 +37,8 @@ class RobotFeed(Feed):
         with self._changed:
             ages = [held.pose.age_s for held in self._held.values()]
         told = f"no pose for {min(ages):.1f} s" if ages else "no pose yet"
+        if not ages and (known := self._known()) and self.robot not in known:
+            told = f"no rig here has it, there are: {', '.join(known)}"
         if (event := self.event) is not None and event.lost:
             told += f" ({event.reason})"
         return Link(LinkState.NO_POSE, f"robot {self.robot!r}: {told}; {link.sentence}")

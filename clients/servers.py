@@ -30,6 +30,11 @@ class Servers:
         with self._lock:
             return list(self._states.values())
 
+    def robots(self) -> list[str]:
+        """Those of all rigs, sorted; none while a server has not told its rig."""
+        told = [state.points.keys() for state in self.all()]
+        return sorted(set().union(*told)) if all(told) else []
+
     def links(self, now_ns: int) -> dict[str, Link]:
         """How things stand with each, by camera."""
         return {state.camera: state.link(now_ns) for state in self.all()}

@@ -159,7 +159,7 @@ def _watch(source: Source, search: _Search) -> None:
                     break
             before = view
     except KeyboardInterrupt:
-        say("")
+        say("ended by Ctrl-C")
 
 
 def _away(view: View, other: View) -> float:

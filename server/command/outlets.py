@@ -34,7 +34,7 @@ def add_outlets(part: argparse.ArgumentParser) -> None:
         type=_port,
         nargs="?",
         const=WEB_PORT,
-        help=f"the same in a browser, at http://127.0.0.1:PORT (default: {WEB_PORT}; uses PORT + 1 too)",
+        help=f"show everything in a browser, at http://127.0.0.1:PORT (default: {WEB_PORT}; uses PORT + 1 too)",
     )
     part.add_argument(
         "--foxglove",
@@ -123,12 +123,24 @@ def check_outlets(options: argparse.Namespace, rig: Rig) -> None:
     """Refuse what cannot be with this rig with an InputError, before anything is begun; raise ModuleNotFoundError for
     what is not installed.
     """
+    _check_ports(options)
     if options.dds:
         import cyclonedds  # noqa: F401
     if options.mavlink:
         from asterism.server.service.mavlink.endpoint import systems_of
 
         systems_of(options.mavlink, rig)
+
+
+def _check_ports(options: argparse.Namespace) -> None:
+    # The page's drawing process opens its ports only later: another outlet would take one from it.
+    told = {"--foxglove": options.foxglove, "--metrics": options.metrics}
+    taken = {} if options.web is None else {options.web: "--web", options.web + 1: "--web, which takes PORT + 1 too"}
+    for option, wanted in told.items():
+        if wanted in taken:
+            raise InputError(f"{option} {wanted}: port {wanted} is that of {taken[wanted]}; expected a port of its own")
+        if wanted is not None:
+            taken[wanted] = option
 
 
 def _flight_controller(text: str) -> "Endpoint":

@@ -4,7 +4,7 @@ import argparse
 import importlib
 import re
 from types import ModuleType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from asterism import __version__
 from asterism.protocol.program import NAME, program
@@ -25,7 +25,7 @@ COMMANDS = {
     "recover": "make a recording that was cut off readable again",
     "example": "a folder to try everything in without hardware, with a README.md to follow",
     "simulate": "frames of simulated robots, with truth",
-    "calibrate": "camera, LED positions, world, LED offset, Z: find what is off and remove it",
+    "calibrate": "camera, LED positions, world, LED offset, Z, a tool's tip: find what is off and remove it",
     "board": "a calibration board to print, true to scale",
     "report": "the error budget of a rig and its workspace, with plots",
     "design": "constellations that cannot be confused, with a drill plan",
@@ -51,6 +51,13 @@ class Parser(argparse.ArgumentParser):
         """The examples, by the name that this program was started with, then argparse's own help."""
         examples = re.sub(f"^{NAME} ", lambda _: f"{program()} ", self.examples, flags=re.MULTILINE)
         return f"{examples}\n{super().format_help()}" if examples else super().format_help()
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """What is not known is refused by the command that it was given to, which has the help for it."""
+        found, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return found, unknown
 
     def error(self, message: str) -> NoReturn:
         """One sentence and exit code 2."""

@@ -47,7 +47,10 @@ def open_viewer(port: int | None) -> tuple[Viewer, str]:
     if has_display():
         return Rerun(free_port(), stays=True), ""
     viewer = Rerun(free_port(), "--serve-grpc")
-    return viewer, f"no display for the viewer; connect one with: rerun {viewer.url}"
+    return (
+        viewer,
+        f"no display for the viewer; connect one with: rerun {viewer.url} (or serve with --web, for a browser)",
+    )
 
 
 def given(stream: BinaryIO) -> Iterator[Rig | Picture]:

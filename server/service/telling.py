@@ -16,6 +16,8 @@ from asterism.server.service.say import SAID
 
 LOGGER = logging.getLogger("asterism")
 WARNINGS = logging.getLogger("py.warnings")
+# Foxglove's SDK tells of clients that it drops; without a handler Python prints that as if nobody had said it.
+TAKEN = (LOGGER, WARNINGS, logging.getLogger("foxglove"))
 _TRACE = logging.Formatter()
 
 
@@ -85,13 +87,13 @@ class Telling:
                 self._file = _File(log)
             except OSError as error:
                 raise InputError(f"--log {log}: cannot be written ({error.strerror})") from None
-            for logger in (LOGGER, WARNINGS):
+            for logger in TAKEN:
                 logger.addHandler(self._file)
 
     def close(self) -> None:
         """Let go of the log."""
         if self._file is not None:
-            for logger in (LOGGER, WARNINGS):
+            for logger in TAKEN:
                 logger.removeHandler(self._file)
             self._file.close()
 
@@ -103,13 +105,13 @@ def telling() -> Iterator[Telling]:
     told.choose(quiet=False, verbose=False, log=None)
     logging.captureWarnings(True)
     with _lasting_stderr():
-        for logger in (LOGGER, WARNINGS):
+        for logger in TAKEN:
             logger.addHandler(_TERMINAL)
         try:
             yield told
         finally:
             told.close()
-            for logger in (LOGGER, WARNINGS):
+            for logger in TAKEN:
                 logger.removeHandler(_TERMINAL)
             logging.captureWarnings(False)
 

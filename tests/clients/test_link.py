@@ -15,6 +15,7 @@ from asterism.protocol.codec import to_bytes
 from asterism.protocol.network import open_server
 from tests.clients.serving import Server, until
 from tests.helpers import REPOSITORY
+from tests.protocol.make_golden import RIG
 from tests.servers import free_endpoint
 
 
@@ -27,6 +28,11 @@ def test_no_pose_and_a_newer_server_are_told(endpoint: str, server: Server, capl
         until(lambda: server.tell() or feed.link.state is LinkState.LIVE)
         until(lambda: feed.link.state is LinkState.NO_POSE)
         assert "robot 'alpha': no pose for " in feed.link.sentence
+        there = ", ".join(sorted(robot.id for robot in RIG.robots))
+        until(lambda: "no pose yet" not in robots["alhpa"].link.sentence)  # until the rig is known
+        assert robots["alhpa"].link.sentence.startswith(
+            f"robot 'alhpa': no rig here has it, there are: {there}; camera"
+        )
     state = ServerState("cam", threading.Event())
     state.answers(pb.RigReport(protocol=2, session=5, time_ns=10**18, rate=1.0), 0, 1000)
     assert not state.is_newer

@@ -20,6 +20,11 @@ from asterism.server.simulation.demo_rig import DEMO_RIG
         ("--foxglove 70000", "argument --foxglove: '70000', expected a port, 1 to 65535; RIG and SOURCE go before it"),
         ("--dds --ros-domain 233", "expected a domain of ROS 2, 0 to 232"),
         ("--dds --ros-namespace lab//north", "is no namespace for ROS, expected parts parted by single slashes"),
+        ("--web 9380 --foxglove 9381", "--foxglove 9381: port 9381 is that of --web, which takes PORT + 1 too"),
+        (
+            "--foxglove 9100 --metrics 9100",
+            "--metrics 9100: port 9100 is that of --foxglove; expected a port of its own",
+        ),
     ],
 )
 def test_it_is_said_what_is_wrong(words: str, sentence: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -67,6 +67,14 @@ def test_libraries_warnings_are_details(tmp_path: Path, capsys: pytest.CaptureFi
     assert (tmp_path / "log").read_text().count("RuntimeWarning: overflow in multiply") == 2
 
 
+def test_what_foxgloves_sdk_logs_is_told_like_the_rest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with telling() as told:
+        told.choose(quiet=False, verbose=False, log=tmp_path / "log")
+        logging.getLogger("foxglove.websocket.server").error("dropped")
+    assert capsys.readouterr().err == "asterism: foxglove.websocket.server: dropped\n"
+    assert "ERROR foxglove.websocket.server: dropped" in (tmp_path / "log").read_text()
+
+
 def test_progress_is_for_terminals_and_not_for_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(progress(range(3), 3, "counting")) == [0, 1, 2]
     with working("thinking") as now:

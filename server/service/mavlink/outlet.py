@@ -13,7 +13,7 @@ from asterism.server.chain.frame import Frame
 from asterism.server.service.mavlink.endpoint import WORLD, Endpoint, joined, systems_of
 from asterism.server.service.mavlink.link import Link
 from asterism.server.service.publish import Clock
-from asterism.server.service.say import say
+from asterism.server.service.say import complain, say
 from asterism.server.service.threads import Newest
 
 MOST_WAITING = 30  # frames: a pose that is older is worth nothing to who flies by it
@@ -52,8 +52,12 @@ class Mavlink:
         self._sending.give(messages)
 
     def take_rig(self, rig: Rig) -> None:
-        """Poses by another rig may jump."""
+        """Poses by another rig may jump; whose poses it takes away is said, since who flies by them hears nothing."""
         self._rig = rig
+        known = {robot.id for robot in rig.robots} if rig.parent_frame == WORLD else set()
+        if gone := [link.robot for link in self._links if link.robot not in known]:
+            why = "the rig has no `world` now" if not known else "the rig has it no more"
+            complain(f"MAVLink: no pose goes out of {', '.join(gone)}: {why}")
 
     def close(self) -> None:
         """Send what waits, and no more."""

@@ -65,6 +65,8 @@ class RosImages(ArrivingImages):
             self._joined.append(node.subscriber(self._topic, kind, _SENSOR, take, seen=kind is expected))
         self._joined.append(node.subscriber(info_topic(self._topic), types.CAMERA_INFO, _SENSOR, self._take_info))
         self._joined.append(node)
+        # Nodes with another RMW are not heard, and those of another domain: without a word that is a long search.
+        self._say(f"ROS 2, domain {self._place.domain}: images of {self._topic} from nodes with rmw_zenoh")
 
     def told(self, kind: str, payload: bytes) -> RawTold | CompressedTold:
         """What a message of that type says of its image. Raises BadMessage for one that is none."""

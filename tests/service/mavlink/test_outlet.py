@@ -139,6 +139,16 @@ def test_the_heart_beats_and_the_time_is_told_to_who_asks() -> None:
         assert answer.tc1 == clock.now_ns()
 
 
+def test_a_rig_that_takes_a_robots_poses_away_is_said(caplog: pytest.LogCaptureFixture) -> None:
+    with flying("r00", "r01") as (outlet, _):
+        outlet.take_rig(RIG)
+        assert "no pose goes out" not in caplog.text
+        outlet.take_rig(make_rig(1, T_world_camera=Pose.identity()))
+        assert "MAVLink: no pose goes out of r01: the rig has it no more" in caplog.text
+        outlet.take_rig(make_rig(2))
+        assert "MAVLink: no pose goes out of r00, r01: the rig has no `world` now" in caplog.text
+
+
 def test_nobody_there_is_no_trouble(rng: np.random.Generator, caplog: pytest.LogCaptureFixture) -> None:
     controller = FlightController()
     controller.socket.close()
