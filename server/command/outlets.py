@@ -171,8 +171,8 @@ def _open_ros(
         from asterism.server.service.dds.node import DdsNode
 
         dds = DdsNode(place.domain)
-        add(Ros2(dds, rig, place, air.publisher.clock))
-        say(f"ROS 2 over DDS, domain {place.domain}, {dds.where}: {topics}")
+        add(Ros2(dds, rig, place, air.publisher.clock, over := "ROS 2 over DDS"))
+        say(f"{over}, domain {place.domain}, {dds.where}: {topics}")
 
 
 def open_outlets(options: argparse.Namespace, rig: Rig, air: OnAir, stack: ExitStack) -> tuple[Outlet, ...]:
