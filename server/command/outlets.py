@@ -1,6 +1,7 @@
 """Options of serve that show or hand on what it publishes in other programs' ways, and what each opens."""
 
 import argparse
+import os
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
@@ -124,12 +125,21 @@ def check_outlets(options: argparse.Namespace, rig: Rig) -> None:
     what is not installed.
     """
     _check_ports(options)
+    _remark_domain(options)
     if options.dds:
         import cyclonedds  # noqa: F401
     if options.mavlink:
         from asterism.server.service.mavlink.endpoint import systems_of
 
         systems_of(options.mavlink, rig)
+
+
+def _remark_domain(options: argparse.Namespace) -> None:
+    # Who works with ROS has it set and takes it for granted; a server's poses must not depend on whose shell it was.
+    told = os.environ.get("ROS_DOMAIN_ID", "")
+    asked = options.ros2 or options.dds or is_ros(options.source)
+    if asked and options.ros_domain is None and told not in ("", "0"):
+        say(f"ROS_DOMAIN_ID is {describe(told)} here and not read: this is domain 0, another is --ros-domain N")
 
 
 def _check_ports(options: argparse.Namespace) -> None:
@@ -169,8 +179,8 @@ def _open_ros(
         from asterism.server.service.dds.node import DdsNode
 
         dds = DdsNode(place.domain)
-        add(Ros2(dds, rig, place, air.publisher.clock))
-        say(f"ROS 2 over DDS, domain {place.domain}, {dds.where}: {topics}")
+        add(Ros2(dds, rig, place, air.publisher.clock, over := "ROS 2 over DDS"))
+        say(f"{over}, domain {place.domain}, {dds.where}: {topics}")
 
 
 def open_outlets(options: argparse.Namespace, rig: Rig, air: OnAir, stack: ExitStack) -> tuple[Outlet, ...]:

@@ -44,6 +44,22 @@ def test_what_is_not_installed_is_said(monkeypatch: pytest.MonkeyPatch, capsys: 
     assert "install it with: pip install 'asterism-localization[dds]'" in capsys.readouterr().err
 
 
+def test_of_a_domain_in_the_environment_it_is_said_that_it_is_not_read(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["serve", str(DEMO_RIG), "sim", "--mavlink", "nobody=127.0.0.1:1"]  # refused, right after
+    remark = "ROS_DOMAIN_ID is '7' here and not read: this is domain 0, another is --ros-domain N"
+    for set_to, more, said in (
+        ("7", ["--ros2"], True),
+        ("7", ["--ros2", "--ros-domain", "7"], False),
+        ("0", ["--ros2"], False),
+        ("7", [], False),
+    ):
+        monkeypatch.setenv("ROS_DOMAIN_ID", set_to)
+        assert main([*words, *more]) == 2
+        assert (remark in capsys.readouterr().err) == said, more
+
+
 def test_a_robot_whose_id_is_no_name_for_ros_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("camera.yaml", "rig.yaml"):
         text = (DEMO_RIG.parent / name).read_text()

@@ -91,7 +91,7 @@ def open_table(path: Path, known: Collection[str]) -> Table:
     columns = headers[delimiter]
     table = Table(path, columns, delimiter, iter(()))
     if not any(name in known for name in columns):
-        found = ", ".join(columns[:3])
+        found = ", ".join([name for name in columns if name][:3])
         raise table.error(
             None, None, f"its first line names no known column ({shortened(found)!r}), expected {EXPECTED}"
         )

@@ -53,10 +53,12 @@ class _Robot(NamedTuple):
 
 
 class Ros2:
-    """An outlet, by a node among those at ``place``, which is closed with it; ``clock`` stamps what never moves."""
+    """An outlet, by a node among those at ``place``, which is closed with it; ``clock`` stamps what never moves, and
+    sentences begin with what it is ``called``.
+    """
 
-    def __init__(self, node: RosNode, rig: Rig, place: names.RosPlace, clock: Clock) -> None:
-        self._node, self._rig, self.place, self._clock = node, rig, place, clock
+    def __init__(self, node: RosNode, rig: Rig, place: names.RosPlace, clock: Clock, called: str = "ROS 2") -> None:
+        self._node, self._rig, self.place, self._clock, self._called = node, rig, place, clock, called
         self._robots = {robot.id: self._publishers_of(robot.id) for robot in rig.robots}
         self._tf = self._node.publisher(names.TF, types.TF_MESSAGE, _TF, newest_only=True)
         self._tf_static = self._node.publisher(names.TF_STATIC, types.TF_MESSAGE, _TF_STATIC)
@@ -85,7 +87,9 @@ class Ros2:
                 self._robots.pop(robot).close()
             for robot in wanted:
                 if robot not in self._robots and (problem := names.part_problem(robot)):
-                    complain(f"ROS 2: the robot's id {robot!r} {problem}; it has no topics there, only a transform")
+                    complain(
+                        f"{self._called}: the robot's id {robot!r} {problem}; it has no topics there, only a transform"
+                    )
                 elif robot not in self._robots:
                     self._robots[robot] = self._publishers_of(robot)
             self._tell_what_never_moves()
@@ -94,7 +98,7 @@ class Ros2:
         """Nothing more comes."""
         self._telling.close(rest=True)
         if self._telling.dropped:
-            say(f"ROS 2: {self._telling.dropped} frames were not told, it did not keep up")
+            say(f"{self._called}: {self._telling.dropped} frames were not told, it did not keep up")
         for robot in self._robots.values():
             robot.close()
         for publisher in (self._tf, self._tf_static, self._diagnostics):

@@ -100,6 +100,7 @@ def test_what_is_taken_for_something_is_said(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ("", "names no known column ('')"),
+        ("Survey of May;;\nrobot;frame;x_m\n", "names no known column ('survey_of_may'), expected"),
         ("a,b\n1,2\n", "names no known column ('a,b'), expected a spreadsheet's CSV with named columns"),
         (HEADER, "holds no row with a place"),
         (HEADER.replace("robot,", "") + "\n", "column robot is missing"),
