@@ -14,7 +14,7 @@ from google.protobuf.message import Message as Protobuf
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
-from asterism.protocol.codec import UNIT, decode_event, decode_frame_report, is_event
+from asterism.protocol.codec import UNIT, decode_event, decode_frame_report, decode_odometry, is_event
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import (
     ANNOTATIONS,
@@ -26,10 +26,12 @@ from asterism.protocol.messages import (
     STATUS,
     TRANSFORMS,
     Kind,
+    RobotPose,
 )
 from asterism.protocol.program import typed
 
 FINITE_M = 1e6
+_DIGITS = 20  # of 64 bits
 
 
 def is_decodable(schema: str, payload: bytes | memoryview) -> bool:
@@ -48,13 +50,27 @@ def is_decodable(schema: str, payload: bytes | memoryview) -> bool:
 
 def read_report(payload: bytes, where: Path) -> "pb.FrameReport":
     """The frame report in a recording's message. Raises InputError for one that no server of Asterism makes."""
-    report = decode_frame_report(payload)
+    try:
+        report = decode_frame_report(payload)
+    except InputError as error:
+        raise InputError(f"{where}: {error}; run this first: {typed('recover', where)}") from None
     if not _report(report):
         raise InputError(
             f"{where}: its report of frame {report.sequence} is none that a server makes; run this first: "
             f"{typed('recover', where)}"
         )
     return report
+
+
+def read_odometry(payload: bytes, where: Path) -> RobotPose:
+    """The pose in a recording's message. Raises InputError for one that no server of Asterism makes."""
+    try:
+        pose = decode_odometry(payload)
+        if not is_decodable(ODOMETRY.schema, payload):
+            raise InputError(f"its pose of frame {pose.sequence} is none that a server makes")
+    except InputError as error:
+        raise InputError(f"{where}: {error}; run this first: {typed('recover', where)}") from None
+    return pose
 
 
 def read_event(payload: bytes, where: Path) -> "pb.Event":
@@ -104,7 +120,10 @@ def _odometry(message: Odometry) -> bool:
         {"state", "leds", "rms_px", "sequence"} <= told.keys()
         and len(message.pose_covariance) == 36
         and _pose(message.pose)  # type: ignore[arg-type]
-        and all(told.get(key, "0").isdecimal() for key in ("leds", "sequence", "published_ns", "session"))
+        and _named(message.body_frame_id)
+        and _framed(message.frame_id)
+        and 0 <= message.timestamp.seconds < 1 << 33
+        and all(_counts(told.get(key, "0")) for key in ("leds", "sequence", "published_ns", "session"))
     )
 
 
@@ -117,6 +136,9 @@ def _report(report: "pb.FrameReport") -> bool:
         and all(robot < len(report.robots) for robot in spots.robot)
         and all(fate in _FATES for fate in spots.fate)
         and all(_robot(robot, len(spots.x)) for robot in report.robots)
+        and len({robot.id for robot in report.robots}) == len(report.robots)
+        and _framed(report.frame_id)
+        and (not report.HasField("camera") or _pose(report.camera.pose))
         and _finite([*spots.x, *spots.y, *spots.radius])
         and report.exposed_ns < 1 << 63
         and report.sequence < 1 << 63
@@ -127,12 +149,27 @@ def _robot(robot: "pb.RobotReport", spots: int) -> bool:
     columns = (robot.led, robot.residual_x, robot.residual_y)
     return (
         robot.state in _STATES
+        and _named(robot.id)
         and all(len(column) == len(robot.spot) for column in columns)
         and all(0 <= spot < spots for spot in robot.spot)
         and (not robot.HasField("pose") or _pose(robot.pose))
         and (not robot.HasField("alternative") or _pose(robot.alternative.pose))
         and _finite([*robot.residual_x, *robot.residual_y, robot.rms_px])
     )
+
+
+def _named(robot: str) -> bool:
+    """Whether a robot can be called so: files are named after it."""
+    return keys.key_problem(robot) is None
+
+
+def _framed(frame_id: str) -> bool:
+    """The same of the parent frame of poses; there may be none."""
+    return not frame_id or _named(frame_id)
+
+
+def _counts(text: str) -> bool:
+    return text.isascii() and text.isdecimal() and len(text) <= _DIGITS and int(text) < 1 << 64
 
 
 def _pose(pose: "pb.Pose") -> bool:

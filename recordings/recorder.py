@@ -299,7 +299,9 @@ class Recorder:
                 self._lost[series is self._poses] += series.abandon()
         self._room.give_up()
         frames, messages = self._lost
-        if frames or messages:
+        if not self.folder.exists():
+            self.problem = f"{self.folder}: somebody removed it while it was recorded to"
+        elif frames or messages:
             self.problem = (
                 f"{self.folder}: the disk did not take everything: {frames} frames and {messages} messages are missing"
             )

@@ -1,5 +1,6 @@
 """Room on a recording's disk: some is kept for the index, some for poses, so that frames stop first."""
 
+import contextlib
 import os
 from pathlib import Path
 
@@ -22,6 +23,9 @@ class Room:
             self._keep(RESERVE_BYTES)
             disk = os.statvfs(folder)
         except OSError as error:
+            with contextlib.suppress(OSError):  # nothing is begun, and nothing of it left
+                self._reserve.unlink(missing_ok=True)
+                folder.rmdir()
             raise WorldError(f"{folder}: cannot be recorded to ({error.strerror})") from None
         self._for_poses = min(POSES_BYTES, int(POSES_SHARE * disk.f_blocks * disk.f_frsize))
 
@@ -61,7 +65,8 @@ class Room:
     def _keep(self, size: int) -> None:
         """So much, from now on. Raises OSError where it cannot be had."""
         if size < self._kept:
-            os.truncate(self._reserve, size)
+            with contextlib.suppress(FileNotFoundError):  # somebody removed the folder
+                os.truncate(self._reserve, size)
         elif size > self._kept:
             with self._reserve.open("ab") as reserve:
                 os.posix_fallocate(reserve.fileno(), 0, size)

@@ -9,12 +9,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from asterism.protocol import asterism_pb2 as pb
-from asterism.protocol.codec import decode_odometry, report_pose
-from asterism.protocol.errors import InputError
+from asterism.protocol.codec import report_pose
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message, RobotPose, State, Velocity
 from asterism.protocol.rig import Rig
-from asterism.recordings.decodable import read_report
+from asterism.recordings.decodable import read_odometry, read_report
 
 Numbers = tuple[float, ...]
 Point = tuple[float, float, float]
@@ -117,7 +116,7 @@ def frames_of(messages: Iterable[Message], where: Path) -> Iterator[ExportedFram
     told: dict[str, RobotPose] = {}  # of the frame whose report is still to come
     for message in messages:
         if message.kind.schema == ODOMETRY.schema:
-            pose = _odometry(message, where)
+            pose = read_odometry(message.payload, where)
             if any(not _together(pose, other) for other in told.values()):
                 yield _of_odometry(told)
                 told = {}
@@ -131,13 +130,6 @@ def frames_of(messages: Iterable[Message], where: Path) -> Iterator[ExportedFram
             told = {}
     if told:
         yield _of_odometry(told)
-
-
-def _odometry(message: Message, where: Path) -> RobotPose:
-    try:
-        return decode_odometry(message.payload)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
 
 
 def _together(a: RobotPose, b: RobotPose) -> bool:

@@ -84,7 +84,7 @@ def _frame(line: _Line, number: int, where: str) -> ExportedFrame:
     if line.exposed_ns is msgspec.UNSET:
         raise InputError(f"{where}: tells no exposed_ns, expected one in every line (a survey needs a column time_s)")
     if not 0 <= line.exposed_ns < 1 << 63:
-        raise InputError(f"{where}: exposed_ns: {line.exposed_ns}, expected ns, 0 to 2^63 - 1")
+        raise InputError(f"{where}: exposed_ns: {describe(line.exposed_ns)}, expected ns, 0 to 2^63 - 1")
     found: dict[str, ExportedRobot] = {}
     for robot in (*(_located(robot, where) for robot in line.robots), *_lost(line)):
         if problem := key_problem(robot.id):

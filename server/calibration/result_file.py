@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from asterism.protocol.errors import InputError, WorldError
+from asterism.protocol.text_file import MOST_BYTES, read_bytes
 from asterism.server.output import check_file, free_name, new_file
 from asterism.server.simulation.measured_rig import TRUTH_MARK
 
@@ -21,11 +22,15 @@ def check_result_file(path: Path, force: bool) -> None:
 
 
 def holds_truth(path: Path) -> bool:
-    """Whether a file says of itself that it is a simulation's truth, as those of `asterism example` do."""
+    """Whether a file says of itself that it is a simulation's truth, as those of `asterism example` do.
+
+    Only a regular file of a text's size is read: a pipe would hang, and /dev/full has no end.
+    """
     try:
-        return TRUTH_MARK in path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:  # none there, or nothing that can be read: whatever it is, others refuse it
+        data = read_bytes(path, "a rig", MOST_BYTES)
+    except (OSError, InputError):  # none there, or nothing that can be read: whatever it is, others refuse it
         return False
+    return TRUTH_MARK.encode() in data.splitlines()
 
 
 def write_result_file(path: Path, text: str, force: bool) -> Path | None:

@@ -4,6 +4,7 @@ The bytes are those that were published, under the same keys. A client that is s
 keeps a few frames for each), and holds up nobody: everything happens in threads of its own.
 """
 
+import logging
 import time
 from collections.abc import Iterable
 
@@ -46,6 +47,7 @@ class FoxgloveOutlet:
         self._take(rig)
         if why := why_taken(port):
             raise InputError(f"--foxglove {port}: cannot be listened on at {HOST} ({why}); expected a free port")
+        logging.getLogger("foxglove.websocket").setLevel(logging.CRITICAL)  # it has a line for all who hang up
         self._server = foxglove.start_server(
             name=f"asterism {rig.camera.name}",
             host=HOST,

@@ -1,5 +1,7 @@
 """Results are written where nothing is lost by it; a simulation's truth is never written over."""
 
+import os
+import threading
 from pathlib import Path
 
 import pytest
@@ -39,3 +41,16 @@ def test_only_the_mark_itself_makes_truth(tmp_path: Path) -> None:
         assert not holds_truth(tmp_path / name)
     assert not holds_truth(tmp_path)
     assert not holds_truth(tmp_path / "none")
+
+
+def test_what_is_no_file_is_not_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    writer = os.open(tmp_path / "pipe", os.O_RDWR)  # so that reading it would take what is here
+    os.write(writer, TRUTH.encode())
+    looking = threading.Thread(target=lambda: told.append(holds_truth(tmp_path / "pipe")), daemon=True)
+    told: list[bool] = []
+    looking.start()
+    looking.join(10.0)  # a pipe ends when its last writer does
+    assert told == [False]
+    assert os.read(writer, 1000) == TRUTH.encode(), "nobody took it"
+    os.close(writer)

@@ -3,6 +3,7 @@
 import csv
 import math
 import shutil
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -11,7 +12,9 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from asterism.protocol.messages import FRAME_REPORT, RobotPose
+from asterism.protocol.codec import decode_frame_report, decode_odometry, encode_odometry
+from asterism.protocol.errors import InputError
+from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message, RobotPose
 from asterism.recordings.compare import reports
 from asterism.recordings.export.columns import columns, groups, seconds
 from asterism.recordings.export.csv_files import write_csv
@@ -179,6 +182,25 @@ def test_odometry_without_its_report_is_a_frame_too(recorded: tuple[Recording, P
     for key, pose in poses.items():
         assert told[key].position == tuple(pose.position.tolist())
         assert told[key].velocity is not None
+
+
+@pytest.mark.parametrize("name", ["../../elsewhere", "/elsewhere", "a\0b", "", "a" * 300])
+@pytest.mark.parametrize("schema", [FRAME_REPORT.schema, ODOMETRY.schema])
+def test_no_robot_of_a_recording_names_a_file_elsewhere(
+    recorded: tuple[Recording, Poses], name: str, schema: str
+) -> None:
+    recording, _ = recorded
+
+    def renamed(message: Message) -> Message:
+        if schema == FRAME_REPORT.schema:
+            report = decode_frame_report(message.payload)
+            report.robots[0].id = name
+            return replace(message, payload=report.SerializeToString())
+        return replace(message, payload=encode_odometry(replace(decode_odometry(message.payload), robot=name)))
+
+    told = (renamed(message) for message in recording.messages() if message.kind.schema == schema)
+    with pytest.raises(InputError, match=r"none that a server makes; run this first: asterism recover"):
+        list(frames_of(told, recording.path))
 
 
 def test_what_was_recovered_is_exported_as_far_as_it_goes(

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shutil
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from asterism.protocol.errors import WorldError
 from asterism.protocol.messages import Message
 from asterism.recordings import recorder, room, writer
 from asterism.recordings.reader import Recording
@@ -164,3 +166,22 @@ def test_a_fault_of_the_program_ends_no_recording(
     assert images == list(range(3, 60))
     assert reports[-1] == 59
     assert made.frames_left_out == 3
+
+
+def test_a_folder_that_is_removed_holds_up_nobody_and_is_told_of(tmp_path: Path, rng: np.random.Generator) -> None:
+    told, _ = hand_made(60, rng)
+    made = Recorder(tmp_path, rig(), "test", FramesKept(), wait=True)
+    made.write(messages_of(0, told), IMAGE, told[0].log_ns, 0)
+    until(lambda: len(list(made.folder.glob("*-0001.mcap"))) == 2)
+    shutil.rmtree(made.folder)
+    for index in range(1, 60):  # more than the queue holds
+        made.write(messages_of(index, told), IMAGE, told[3 * index].log_ns, index)
+    made.close({})
+    assert made.problem == f"{made.folder}: somebody removed it while it was recorded to"
+
+
+def test_what_cannot_be_begun_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    SmallDisk(monkeypatch, room.RESERVE_BYTES - 1)
+    with pytest.raises(WorldError, match=r"cannot be recorded to \(No space left on device\)"):
+        Recorder(tmp_path, rig(), "test", FramesKept(), wait=True)
+    assert list(tmp_path.iterdir()) == []

@@ -178,3 +178,18 @@ def test_it_listens_on_loopback_only_and_a_port_in_use_is_refused(outlet: Foxglo
     with pytest.raises(InputError, match=rf"--foxglove {port}: .*expected a free port") as refused:
         FoxgloveOutlet(rig, port)
     assert "\n" not in str(refused.value)
+
+
+def test_who_connects_and_is_no_client_is_nobodys_trouble(
+    outlet: FoxgloveOutlet, port: int, told: Told, rng: np.random.Generator, caplog: pytest.LogCaptureFixture
+) -> None:
+    for _ in range(5):
+        with socket.create_connection(("127.0.0.1", port), timeout=5.0) as stranger, contextlib.suppress(OSError):
+            stranger.sendall(b"GET / HTTP/1.1\r\n\r\n" + rng.bytes(1000))
+            while stranger.recv(4096):
+                pass
+    assert [record.getMessage() for record in caplog.records] == []
+    with FoxgloveClient(port) as client:
+        subscribed(client, outlet)
+        outlet.write(*told[0])
+        assert client.until(FRAME, told[0][1].exposed_ns)

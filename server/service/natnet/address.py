@@ -12,7 +12,8 @@ def address(text: str) -> tuple[str, int]:
     """An IPv4 address of this machine, and a UDP port. Raises InputError for what is none."""
     host, colon, port = text.partition(":")
     try:
-        ipaddress.IPv4Address(host)
+        if ipaddress.IPv4Address(host).is_multicast:
+            raise ValueError
         if colon and not (port.isascii() and port.isdecimal() and len(port) <= 5 and 0 < int(port) < 65_536):
             raise ValueError
     except ValueError:

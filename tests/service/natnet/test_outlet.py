@@ -138,7 +138,7 @@ def test_nothing_is_sent_to_who_did_not_call_or_has_left(rng: np.random.Generato
 def test_addresses_are_read_and_others_refused() -> None:
     assert address("127.0.0.1") == ("127.0.0.1", 1510)
     assert address("10.0.0.7:2000") == ("10.0.0.7", 2000)
-    for text in ("", "localhost", "rig.yaml", "127.0.0.1:", "127.0.0.1:0", "127.0.0.1:70000", "::1"):
+    for text in ("", "localhost", "rig.yaml", "127.0.0.1:", "127.0.0.1:0", "127.0.0.1:70000", "::1", "224.0.0.1"):
         with pytest.raises(InputError, match="expected an IPv4 address"):
             address(text)
 
