@@ -41,9 +41,9 @@ def count(text: str) -> int:
 
 def port(text: str) -> int:
     """A port to listen on."""
-    value = count(text)
-    if value > 65_535:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected a port, 1 to 65535")
+    value = _digits(text)
+    if not value or value > 65_535:
+        raise argparse.ArgumentTypeError(f"{describe(text)}, expected a port, 1 to 65535")
     return value
 
 

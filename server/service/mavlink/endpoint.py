@@ -38,9 +38,11 @@ def endpoint(text: str) -> Endpoint:
 def systems_of(endpoints: Sequence[Endpoint], rig: Rig) -> list[int]:
     """The MAVLink system that each endpoint's robot is: its place in the rig, from 1.
 
-    Raises InputError for a robot that the rig does not know, and for a rig without `world`: its poses are in the
-    camera's frame, in which down is where nobody knows.
+    Raises InputError for an endpoint that is there twice, for a robot that the rig does not know, and for a rig without
+    `world`: its poses are in the camera's frame, in which down is where nobody knows.
     """
+    if twice := [where for where in endpoints if endpoints.count(where) > 1]:
+        raise InputError(f"--mavlink {twice[0]}: is there twice, expected once: it would hear every pose twice")
     if rig.parent_frame != WORLD:
         raise InputError(
             f"--mavlink: the rig has no `world`, so poses are in the frame of camera '{rig.camera.name}'; expected one "

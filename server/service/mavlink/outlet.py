@@ -1,15 +1,13 @@
 """The outlet `serve --mavlink ROBOT=HOST:PORT`: poses to a robot's flight controller, and the time where it asks."""
 
-import contextlib
-import select
 import socket
-import threading
 
 from asterism.protocol.codec import decode_odometry
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import ODOMETRY, STATUS, Message
 from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame
+from asterism.server.service.hearing import Hearing
 from asterism.server.service.mavlink.endpoint import WORLD, Endpoint, joined, systems_of
 from asterism.server.service.mavlink.link import Link
 from asterism.server.service.publish import Clock
@@ -37,9 +35,8 @@ class Mavlink:
         self._rig = rig
         self._clock = clock
         self._sending: Newest[list[Message]] = Newest(self._send, "mavlink", MOST_WAITING)
-        self._wake, self._woken = socket.socketpair()
-        self._answering = threading.Thread(target=self._answer, name="mavlink-time", daemon=True)
-        self._answering.start()
+        self._by_socket = {link.to: link for link in self._links}
+        self._hearing = Hearing(self._by_socket, self._answer, "mavlink-time")
         for where, system in zip(endpoints, systems, strict=True):
             say(f"MAVLink to {where.host}:{where.port}: {where.robot}, as system {system}")
 
@@ -62,9 +59,7 @@ class Mavlink:
     def close(self) -> None:
         """Send what waits, and no more."""
         self._sending.close(rest=True)
-        self._wake.close()
-        self._answering.join()
-        self._woken.close()
+        self._hearing.close()
         self._hang_up()
         unsent = sum(link.unsent for link in self._links)
         if unsent or self._sending.dropped:
@@ -86,13 +81,6 @@ class Mavlink:
                 for link in self._links:
                     link.alive()
 
-    def _answer(self) -> None:
-        """Tell whoever asks what time it is by the clock that stamps poses, until the outlet is closed."""
-        by_socket = {link.to: link for link in self._links}
-        while True:
-            ready, _, _ = select.select([self._woken, *by_socket], [], [])
-            if self._woken in ready:
-                return
-            for one in ready:
-                with contextlib.suppress(OSError):
-                    by_socket[one].answer(self._clock.now_ns())
+    def _answer(self, asked: socket.socket) -> None:
+        """Tell who asks what time it is by the clock that stamps poses."""
+        self._by_socket[asked].answer(self._clock.now_ns())

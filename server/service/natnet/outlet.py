@@ -2,9 +2,7 @@
 
 import contextlib
 import re
-import select
 import socket
-import threading
 
 import numpy as np
 
@@ -15,6 +13,7 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.messages import FRAME_REPORT, Message
 from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame
+from asterism.server.service.hearing import Hearing
 from asterism.server.service.natnet import wire
 from asterism.server.service.natnet.audience import Address, Audience
 from asterism.server.service.say import say
@@ -33,9 +32,7 @@ class NatNet:
         self.port: int = self._socket.getsockname()[1]
         self._audience = Audience()
         self._sending: Newest[tuple[bytes, Rig]] = Newest(self._send, "natnet", MOST_WAITING)
-        self._wake, self._woken = socket.socketpair()
-        self._answering = threading.Thread(target=self._answer, name="natnet-calls", daemon=True)
-        self._answering.start()
+        self._hearing = Hearing([self._socket], self._answer, "natnet-calls")
         say(f"NatNet {wire.VERSION[0]}.{wire.VERSION[1]} at {host}:{self.port}, to each client by itself (unicast)")
 
     def write(self, messages: list[Message], frame: Frame) -> None:  # noqa: ARG002
@@ -54,9 +51,7 @@ class NatNet:
     def close(self) -> None:
         """Send what waits, and no more."""
         self._sending.close(rest=True)
-        self._wake.close()
-        self._answering.join()
-        self._woken.close()
+        self._hearing.close()
         self._socket.close()
         if self._sending.dropped:
             say(f"NatNet did not keep up: {self._sending.dropped} frames were left out")
@@ -74,15 +69,9 @@ class NatNet:
             with contextlib.suppress(OSError):  # who is gone is forgotten when it has not called for a while
                 self._socket.sendto(told, client)
 
-    def _answer(self) -> None:
-        """Take calls until the outlet is closed."""
-        while True:
-            ready, _, _ = select.select([self._woken, self._socket], [], [])
-            if self._woken in ready:
-                return
-            with contextlib.suppress(OSError):
-                datagram, client = self._socket.recvfrom(wire.LONGEST)
-                self._take(datagram, client)
+    def _answer(self, called: socket.socket) -> None:
+        datagram, client = called.recvfrom(wire.LONGEST)
+        self._take(datagram, client)
 
     def _take(self, datagram: bytes, client: Address) -> None:
         match wire.kind_of(datagram):

@@ -14,7 +14,6 @@ import numpy as np
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.codec import to_bytes
 from asterism.protocol.messages import STATUS, Message, RobotPose
-from asterism.protocol.ros2 import types
 from asterism.protocol.ros2.names import RosPlace
 from asterism.server.service.dds.node import DdsNode, DdsPublisher
 from asterism.server.service.ros2.outlet import Ros2
@@ -22,16 +21,9 @@ from asterism.server.sources.session_clock import SessionClock
 from tests.clients.serving import until
 from tests.protocol.make_golden import RIG
 from tests.service.ros2.independent import FRAME, frame_of, pose
+from tests.service.ros2.received import DYNAMIC, TOPICS
 
 NAMESPACE = "/lab"
-TOPICS = {
-    "/lab/alpha/pose": types.POSE_WITH_COVARIANCE_STAMPED,
-    "/lab/alpha/odom": types.ODOMETRY,
-    "/tf": types.TF_MESSAGE,
-    "/tf_static": types.TF_MESSAGE,
-    "/diagnostics": types.DIAGNOSTIC_ARRAY,
-}
-DYNAMIC = list(TOPICS)[:3]
 TOGETHER = 5  # frames without a pause: fewer than a topic keeps
 HEALTH = pb.Status(time_ns=5, rate_hz=60.0, problem="the disk is full")
 

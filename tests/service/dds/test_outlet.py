@@ -20,8 +20,8 @@ from asterism.server.sources.session_clock import SessionClock
 from tests.helpers import REPOSITORY
 from tests.protocol.make_golden import RIG
 from tests.servers import TIMEOUT_S
-from tests.service.dds.apart import DYNAMIC, TOPICS, poses
-from tests.service.ros2.test_outlet import check_header, check_pose, xyz
+from tests.service.dds.apart import poses
+from tests.service.ros2.received import DYNAMIC, TOPICS, check_received
 
 COUNT = 50  # 1000: python -m tests.service.dds.apart 0 1000, in such a network
 DOMAIN = 11
@@ -35,23 +35,7 @@ def test_a_node_receives_everything_and_nothing_but_loopback_is_heard() -> None:
     assert set(found["heard_at"]) == {"0.0.0.0%lo", "127.0.0.1"}
     counts = {topic: COUNT if topic in DYNAMIC else 1 for topic in TOPICS}
     assert {topic: len(messages) for topic, messages in received.items()} == counts
-    for one, at, odom, tf in zip(poses(COUNT), *(received[topic] for topic in DYNAMIC), strict=True):
-        for message in (at, odom):
-            check_header(message["header"], one)
-            check_pose(message, one)
-        assert one.velocity is not None
-        assert odom["child_frame_id"] == "alpha"
-        assert xyz(odom["twist"]["twist"]["linear"]) == one.velocity.linear.tolist()
-        assert xyz(odom["twist"]["twist"]["angular"]) == one.velocity.angular.tolist()
-        assert odom["twist"]["covariance"] == one.velocity.covariance.ravel().tolist()
-        (transform,) = tf["transforms"]
-        check_header(transform["header"], one)
-        assert transform["child_frame_id"] == "alpha"
-        assert xyz(transform["transform"]["translation"]) == one.position.tolist()
-    (never_moves,) = received["/tf_static"]
-    assert [one["child_frame_id"] for one in never_moves["transforms"]] == ["cam", "alpha/tool"]
-    (health,) = received["/diagnostics"]
-    assert (health["status"][0]["level"], health["status"][0]["message"]) == (1, "the disk is full")
+    check_received(received, poses(COUNT))
 
 
 def test_robots_come_and_go_with_the_rig(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,13 +4,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pytest
 import zenoh
 import zenoh.ext
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.codec import to_bytes
-from asterism.protocol.messages import STATUS, Message, RobotPose
+from asterism.protocol.messages import STATUS, Message
 from asterism.protocol.network import client_config
 from asterism.protocol.ros2 import types
 from asterism.protocol.ros2.names import RosPlace
@@ -28,35 +27,10 @@ from tests.service.ros2.independent import (
     telling,
     wait_until_it_listens,
 )
+from tests.service.ros2.received import DYNAMIC, TOPICS, check_received
 
 COUNT = 50  # 1000 in python -m tests.measure.ros2
 TOGETHER = 5  # frames without a pause: more than a camera makes, less than the short queue drops
-TOPICS = {
-    "/lab/alpha/pose": types.POSE_WITH_COVARIANCE_STAMPED,
-    "/lab/alpha/odom": types.ODOMETRY,
-    "/tf": types.TF_MESSAGE,
-    "/tf_static": types.TF_MESSAGE,
-    "/diagnostics": types.DIAGNOSTIC_ARRAY,
-}
-
-DYNAMIC = list(TOPICS)[:3]
-
-
-def xyz(value: dict[str, float]) -> list[float]:
-    return [value["x"], value["y"], value["z"]]
-
-
-def check_header(header: dict[str, Any], told: RobotPose) -> None:
-    assert header["frame_id"] == "world"
-    assert header["stamp"]["sec"] * 10**9 + header["stamp"]["nanosec"] == told.exposed_ns
-
-
-def check_pose(message: dict[str, Any], told: RobotPose) -> None:
-    pose = message["pose"]["pose"]
-    assert xyz(pose["position"]) == told.position.tolist()
-    quaternion = [*xyz(pose["orientation"]), pose["orientation"]["w"]]
-    assert quaternion == pytest.approx(told.orientation.tolist(), abs=1e-15)  # made unit once more
-    assert message["pose"]["covariance"] == told.covariance.ravel().tolist()
 
 
 def test_a_node_receives_everything(rng: np.random.Generator) -> None:
@@ -74,25 +48,7 @@ def test_a_node_receives_everything(rng: np.random.Generator) -> None:
         outlet.between([Message("asterism/cam/status", STATUS, to_bytes(status), 5, 5, 0)])
         until(lambda: node.counts()["/diagnostics"], TIMEOUT_S)
         found = node.finish()
-    received = found["received"]
-    for one, at, odom, tf in zip(told, *(received[topic][-COUNT:] for topic in DYNAMIC), strict=True):
-        check_header(at["header"], one)
-        check_pose(at, one)
-        check_header(odom["header"], one)
-        check_pose(odom, one)
-        assert one.velocity is not None
-        assert odom["child_frame_id"] == "alpha"
-        assert xyz(odom["twist"]["twist"]["linear"]) == one.velocity.linear.tolist()
-        assert xyz(odom["twist"]["twist"]["angular"]) == one.velocity.angular.tolist()
-        assert odom["twist"]["covariance"] == one.velocity.covariance.ravel().tolist()
-        (transform,) = tf["transforms"]
-        check_header(transform["header"], one)
-        assert transform["child_frame_id"] == "alpha"
-        assert xyz(transform["transform"]["translation"]) == one.position.tolist()
-    (never_moves,) = received["/tf_static"]
-    assert [one["child_frame_id"] for one in never_moves["transforms"]] == ["cam", "alpha/tool"]
-    (health,) = received["/diagnostics"]
-    assert (health["status"][0]["level"], health["status"][0]["message"]) == (1, "the disk is full")
+    check_received(found["received"], told)
     assert {topic: [kind.ros] for topic, kind in TOPICS.items()}.items() <= dict(found["seen"]).items()
 
 
