@@ -20,7 +20,7 @@ from asterism.server.simulation.demo_rig import DEMO_RIG
         ("--foxglove 70000", "'70000', expected a port, 1 to 65535"),
         ("--natnet 224.0.0.1", "--natnet 224.0.0.1: expected an IPv4 address of this machine, such as 127.0.0.1"),
         ("--natnet somewhere", "--natnet somewhere: expected an IPv4 address of this machine, such as 127.0.0.1"),
-        ("--web frames/", "argument --web: 'frames/', expected a whole number above 0; RIG and SOURCE go before it"),
+        ("--web frames/", "argument --web: 'frames/', expected a port, 1 to 65535; RIG and SOURCE go before it"),
         ("--foxglove 70000", "argument --foxglove: '70000', expected a port, 1 to 65535; RIG and SOURCE go before it"),
         ("--dds --ros-domain 233", "expected a domain of ROS 2, 0 to 232"),
         ("--dds --ros-namespace lab//north", "is no namespace for ROS, expected parts parted by single slashes"),
