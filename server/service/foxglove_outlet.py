@@ -34,8 +34,6 @@ from asterism.server.service.say import say
 from asterism.server.service.threads import Newest
 
 FRAMES_BEHIND = 8  # that a client may be, before it misses the oldest
-# What is shown begins so long after what is published, so that robots, which hear of a frame then, have the processor.
-AFTER_S = 0.002
 
 
 class FoxgloveOutlet:
@@ -59,7 +57,7 @@ class FoxgloveOutlet:
         )
         say(f"for Foxglove and PlotJuggler: ws://{HOST}:{port}")
         self._told = Newest(self._tell, "foxglove", waiting=FRAMES_BEHIND)
-        self._seen = Newest(self._show, "foxglove-image")
+        self._seen = Newest(self._show, "foxglove-image", low=True)
 
     def take_rig(self, rig: Rig) -> None:
         """Another rig is in force for the frames from now on."""
@@ -67,13 +65,12 @@ class FoxgloveOutlet:
 
     def write(self, messages: list[Message], frame: Frame) -> None:
         """Hand on what was published of a frame, and its image if it is its turn."""
-        begin_s = time.monotonic() + AFTER_S
-        self._told.give((messages, self._rig, begin_s))
-        self._seen.give((frame, begin_s))
+        self._told.give((messages, self._rig))
+        self._seen.give(frame)
 
     def between(self, messages: list[Message]) -> None:
         """Hand them on."""
-        self._told.give((messages, self._rig, time.monotonic() + AFTER_S))
+        self._told.give((messages, self._rig))
 
     def close(self) -> None:
         """Let go of all clients, and of the port."""
@@ -81,9 +78,8 @@ class FoxgloveOutlet:
         self._seen.close()
         self._server.stop()
 
-    def _tell(self, told: tuple[list[Message], Rig, float]) -> None:
-        messages, rig, begin_s = told
-        _wait_until(begin_s)
+    def _tell(self, told: tuple[list[Message], Rig]) -> None:
+        messages, rig = told
         if rig is not self._drawn:
             self._take(rig)
         for message in messages:
@@ -102,15 +98,13 @@ class FoxgloveOutlet:
             if not (message.kind == TRANSFORMS and self._camera_told):
                 self._log(message)
 
-    def _show(self, seen: tuple[Frame, float]) -> None:
-        frame, begin_s = seen
-        _wait_until(begin_s)
+    def _show(self, frame: Frame) -> None:
         began, camera = time.monotonic(), self._drawn.camera.name
         key = keys.image(camera)
         if self._anybody([key]):
             payload = encode_live_image(frame.exposed_ns, camera, frame.image)
             self._channels[key].log(payload, log_time=frame.exposed_ns)
-        _wait_until(began + 1.0 / SHOWN_HZ)
+        time.sleep(max(began + 1.0 / SHOWN_HZ - time.monotonic(), 0.0))
 
     def _anybody(self, topics: Iterable[str]) -> bool:
         """Whether a client wants one of these."""
@@ -132,10 +126,6 @@ class FoxgloveOutlet:
             self._channels[key] = foxglove.Channel(
                 key, schema=schema, message_encoding="protobuf", context=self._context
             )
-
-
-def _wait_until(time_s: float) -> None:
-    time.sleep(max(time_s - time.monotonic(), 0.0))
 
 
 def _channels(rig: Rig) -> dict[str, Kind]:

@@ -1,7 +1,9 @@
 """Threads around the chain: the newest frame of a camera, the next frames of a file, the newest value for a viewer."""
 
 import logging
+import os
 import queue
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -12,6 +14,7 @@ from asterism.server.chain.frame import Frame
 _LOG = logging.getLogger(__name__)
 T = TypeVar("T")
 
+LOW = 15  # niceness
 AHEAD = 3  # frames of a file that are decoded before they are needed
 
 
@@ -113,12 +116,14 @@ class Ticker:
 
 class Newest(Generic[T]):
     """Calls a function with what it was given last, from a thread of its own: who is slow misses values, and holds up
-    nobody. ``waiting`` values may wait, in order; then the oldest goes, and is counted in ``dropped``.
+    nobody. ``waiting`` values may wait, in order; then the oldest goes, and is counted in ``dropped``. ``low``: on
+    Linux its thread comes after all others, for work that lets go of Python's lock, such as compressing.
     """
 
-    def __init__(self, call: Callable[[T], None], name: str, waiting: int = 1) -> None:
+    def __init__(self, call: Callable[[T], None], name: str, waiting: int = 1, low: bool = False) -> None:
         self._call = call
         self._name = name
+        self._low = low
         self.dropped = 0
         self._ready = threading.Condition()
         self._values: deque[T] = deque(maxlen=waiting)
@@ -150,6 +155,8 @@ class Newest(Generic[T]):
         self._thread.join(timeout_s)
 
     def _run(self) -> None:
+        if self._low and sys.platform == "linux":
+            os.nice(LOW)  # of this thread; elsewhere it would be of the process
         while True:
             with self._ready:
                 self._ready.wait_for(lambda: self._values or self._closed)
