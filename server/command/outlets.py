@@ -194,8 +194,10 @@ def open_outlets(options: argparse.Namespace, rig: Rig, air: OnAir, stack: ExitS
     if options.rerun or options.web is not None:
         from asterism.server.service.live_view import LiveView
 
-        for words in [()] * options.rerun + [(str(options.web),)] * (options.web is not None):
-            add(LiveView(rig, *words))
+        if options.rerun:
+            add(LiveView(rig))
+        if options.web is not None:
+            add(LiveView(rig, str(options.web)))
     if (place := ros_place(options, rig)) is not None:
         _open_ros(options, place, rig, air, add)
     if options.mavlink:

@@ -109,21 +109,30 @@ def main(pairs: int = 10, seconds: float = 10.0) -> None:
     for heading in ("recorded", "poses", "lost", "p50 ms", "p99 ms", "p99 / p99 of none", "processor ms a frame"):
         table.add_column(heading, justify="left" if heading == "recorded" else "right")
     for kind, told in runs.items():
-        all_ms = np.concatenate([one.ms for one in told])
-        ratios = [
-            float(np.percentile(one.ms, 99) / np.percentile(none.ms, 99))
-            for one, none in zip(told, runs["none"], strict=True)
-        ]
-        table.add_row(
-            kind,
-            str(len(all_ms)),
-            str(sum(one.lost for one in told)),
-            f"{np.median(all_ms):.2f}",
-            f"{np.percentile(all_ms, 99):.1f}",
-            f"{statistics.median(ratios):.2f}",
-            f"{statistics.median(one.cpu_ms for one in told):.2f}",
-        )
+        table.add_row(kind, *figures(told, runs["none"], (99,)))
     Console(width=120).print(table)
+
+
+def figures(told: list[Run], none: list[Run], percents: tuple[int, ...]) -> list[str]:
+    """Poses, lost, median and 99 % of all runs, the medians over the turns of percentiles over those of ``none``, and
+    the server's processor time a frame.
+    """
+    all_ms = np.concatenate([one.ms for one in told])
+    return [
+        str(len(all_ms)),
+        str(sum(one.lost for one in told)),
+        f"{np.median(all_ms):.2f}",
+        f"{np.percentile(all_ms, 99):.1f}",
+        *(f"{_ratio(told, none, percent):.2f}" for percent in percents),
+        f"{statistics.median(one.cpu_ms for one in told):.2f}",
+    ]
+
+
+def _ratio(told: list[Run], none: list[Run], percent: int) -> float:
+    return statistics.median(
+        float(np.percentile(one.ms, percent) / np.percentile(other.ms, percent))
+        for one, other in zip(told, none, strict=True)
+    )
 
 
 if __name__ == "__main__":

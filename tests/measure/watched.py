@@ -12,7 +12,6 @@ same turn, poses lost, the server's processor time a frame, and the addresses th
 import contextlib
 import os
 import signal
-import statistics
 import sys
 import tempfile
 import threading
@@ -21,7 +20,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -29,7 +27,7 @@ from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.browser import PROGRAM, Browser
 from tests.foxglove_client import FoxgloveClient
 from tests.listening import family, free_ports, listening
-from tests.measure.latency import RATE_HZ, Run, heard
+from tests.measure.latency import RATE_HZ, Run, figures, heard
 from tests.measure.looped_camera import serve_film
 from tests.servers import free_endpoint
 
@@ -132,25 +130,8 @@ def _table(runs: dict[str, list[Run]]) -> Table:
     for heading in headings:
         table.add_column(heading, justify="left" if heading == headings[0] else "right")
     for kind, told in runs.items():
-        all_ms = np.concatenate([one.ms for one in told])
-        table.add_row(
-            kind,
-            str(len(all_ms)),
-            str(sum(one.lost for one in told)),
-            f"{np.median(all_ms):.2f}",
-            f"{np.percentile(all_ms, 99):.1f}",
-            *(f"{_ratio(told, runs['nobody'], percent):.2f}" for percent in (50, 99)),
-            f"{statistics.median(one.cpu_ms for one in told):.2f}",
-        )
+        table.add_row(kind, *figures(told, runs["nobody"], (50, 99)))
     return table
-
-
-def _ratio(told: list[Run], nobodys: list[Run], percent: float) -> float:
-    """The median over all turns."""
-    return statistics.median(
-        float(np.percentile(one.ms, percent) / np.percentile(none.ms, percent))
-        for one, none in zip(told, nobodys, strict=True)
-    )
 
 
 if __name__ == "__main__":

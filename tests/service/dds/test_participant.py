@@ -32,7 +32,10 @@ def test_its_sockets_hear_loopback_alone_and_are_closed_again(monkeypatch: pytes
 @pytest.mark.parametrize("domain", [0, 232])
 def test_the_first_and_the_last_domain_can_be_joined(domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(USERS_OWN, raising=False)
-    Participant(domain).close()
+    before = _sockets()
+    participant = Participant(domain)
+    assert len(_sockets() - before) >= 5
+    participant.close()
 
 
 def test_ports_that_are_taken_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
