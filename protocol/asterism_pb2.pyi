@@ -135,7 +135,7 @@ class Alternative(_message.Message):
     def __init__(self, pose: _Optional[_Union[Pose, _Mapping]] = ..., odds: _Optional[float] = ...) -> None: ...
 
 class RobotReport(_message.Message):
-    __slots__ = ("id", "state", "reason", "pose", "covariance", "leds", "rms_px", "led", "spot", "residual_x", "residual_y", "alternative", "points", "smoothed_by", "extrapolated", "velocity")
+    __slots__ = ("id", "state", "reason", "pose", "covariance", "leds", "rms_px", "led", "spot", "residual_x", "residual_y", "alternative", "points", "smoothed_by", "extrapolated", "velocity", "cameras", "left_out")
     class PointsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -143,6 +143,13 @@ class RobotReport(_message.Message):
         key: str
         value: Vector3
         def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[Vector3, _Mapping]] = ...) -> None: ...
+    class LeftOutEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: str
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
     ID_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
@@ -159,6 +166,8 @@ class RobotReport(_message.Message):
     SMOOTHED_BY_FIELD_NUMBER: _ClassVar[int]
     EXTRAPOLATED_FIELD_NUMBER: _ClassVar[int]
     VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    CAMERAS_FIELD_NUMBER: _ClassVar[int]
+    LEFT_OUT_FIELD_NUMBER: _ClassVar[int]
     id: str
     state: State
     reason: str
@@ -175,7 +184,9 @@ class RobotReport(_message.Message):
     smoothed_by: str
     extrapolated: bool
     velocity: Velocity
-    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[State, str]] = ..., reason: _Optional[str] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., leds: _Optional[int] = ..., rms_px: _Optional[float] = ..., led: _Optional[_Iterable[int]] = ..., spot: _Optional[_Iterable[int]] = ..., residual_x: _Optional[_Iterable[float]] = ..., residual_y: _Optional[_Iterable[float]] = ..., alternative: _Optional[_Union[Alternative, _Mapping]] = ..., points: _Optional[_Mapping[str, Vector3]] = ..., smoothed_by: _Optional[str] = ..., extrapolated: bool = ..., velocity: _Optional[_Union[Velocity, _Mapping]] = ...) -> None: ...
+    cameras: _containers.RepeatedScalarFieldContainer[str]
+    left_out: _containers.ScalarMap[str, str]
+    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[State, str]] = ..., reason: _Optional[str] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., leds: _Optional[int] = ..., rms_px: _Optional[float] = ..., led: _Optional[_Iterable[int]] = ..., spot: _Optional[_Iterable[int]] = ..., residual_x: _Optional[_Iterable[float]] = ..., residual_y: _Optional[_Iterable[float]] = ..., alternative: _Optional[_Union[Alternative, _Mapping]] = ..., points: _Optional[_Mapping[str, Vector3]] = ..., smoothed_by: _Optional[str] = ..., extrapolated: bool = ..., velocity: _Optional[_Union[Velocity, _Mapping]] = ..., cameras: _Optional[_Iterable[str]] = ..., left_out: _Optional[_Mapping[str, str]] = ...) -> None: ...
 
 class Velocity(_message.Message):
     __slots__ = ("linear", "angular", "covariance")
@@ -206,7 +217,7 @@ class CameraPlace(_message.Message):
     def __init__(self, pose: _Optional[_Union[Pose, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., noise: _Optional[_Iterable[float]] = ..., seen_ns: _Optional[int] = ...) -> None: ...
 
 class FrameReport(_message.Message):
-    __slots__ = ("sequence", "exposed_ns", "arrived_ns", "solved_ns", "published_ns", "frame_id", "spots", "robots", "learned", "session", "clock", "camera")
+    __slots__ = ("sequence", "exposed_ns", "arrived_ns", "solved_ns", "published_ns", "frame_id", "spots", "robots", "learned", "session", "clock", "camera", "cameras")
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     EXPOSED_NS_FIELD_NUMBER: _ClassVar[int]
     ARRIVED_NS_FIELD_NUMBER: _ClassVar[int]
@@ -219,6 +230,7 @@ class FrameReport(_message.Message):
     SESSION_FIELD_NUMBER: _ClassVar[int]
     CLOCK_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
+    CAMERAS_FIELD_NUMBER: _ClassVar[int]
     sequence: int
     exposed_ns: int
     arrived_ns: int
@@ -231,7 +243,8 @@ class FrameReport(_message.Message):
     session: int
     clock: Clock
     camera: CameraPlace
-    def __init__(self, sequence: _Optional[int] = ..., exposed_ns: _Optional[int] = ..., arrived_ns: _Optional[int] = ..., solved_ns: _Optional[int] = ..., published_ns: _Optional[int] = ..., frame_id: _Optional[str] = ..., spots: _Optional[_Union[Spots, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RobotReport, _Mapping]]] = ..., learned: _Optional[_Union[Learned, _Mapping]] = ..., session: _Optional[int] = ..., clock: _Optional[_Union[Clock, str]] = ..., camera: _Optional[_Union[CameraPlace, _Mapping]] = ...) -> None: ...
+    cameras: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, sequence: _Optional[int] = ..., exposed_ns: _Optional[int] = ..., arrived_ns: _Optional[int] = ..., solved_ns: _Optional[int] = ..., published_ns: _Optional[int] = ..., frame_id: _Optional[str] = ..., spots: _Optional[_Union[Spots, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RobotReport, _Mapping]]] = ..., learned: _Optional[_Union[Learned, _Mapping]] = ..., session: _Optional[int] = ..., clock: _Optional[_Union[Clock, str]] = ..., camera: _Optional[_Union[CameraPlace, _Mapping]] = ..., cameras: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class Beat(_message.Message):
     __slots__ = ("session", "sequence", "time_ns", "monotonic_ns", "rate", "started_ns")
@@ -355,8 +368,15 @@ class Reloads(_message.Message):
     def __init__(self, count: _Optional[int] = ..., problem: _Optional[str] = ...) -> None: ...
 
 class RigReport(_message.Message):
-    __slots__ = ("camera", "frame_id", "width", "height", "camera_matrix", "distortion_model", "distortion", "world_camera", "robots", "rig_yaml", "camera_yaml", "offset_yaml", "host", "pid", "session", "started_ns", "time_ns", "rate", "version", "reloads", "protocol")
+    __slots__ = ("camera", "frame_id", "width", "height", "camera_matrix", "distortion_model", "distortion", "world_camera", "robots", "rig_yaml", "camera_yaml", "offset_yaml", "files", "host", "pid", "session", "started_ns", "time_ns", "rate", "version", "reloads", "protocol")
     class OffsetYamlEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: str
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
+    class FilesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
         VALUE_FIELD_NUMBER: _ClassVar[int]
@@ -375,6 +395,7 @@ class RigReport(_message.Message):
     RIG_YAML_FIELD_NUMBER: _ClassVar[int]
     CAMERA_YAML_FIELD_NUMBER: _ClassVar[int]
     OFFSET_YAML_FIELD_NUMBER: _ClassVar[int]
+    FILES_FIELD_NUMBER: _ClassVar[int]
     HOST_FIELD_NUMBER: _ClassVar[int]
     PID_FIELD_NUMBER: _ClassVar[int]
     SESSION_FIELD_NUMBER: _ClassVar[int]
@@ -396,6 +417,7 @@ class RigReport(_message.Message):
     rig_yaml: str
     camera_yaml: str
     offset_yaml: _containers.ScalarMap[str, str]
+    files: _containers.ScalarMap[str, str]
     host: str
     pid: int
     session: int
@@ -405,4 +427,4 @@ class RigReport(_message.Message):
     version: str
     reloads: Reloads
     protocol: int
-    def __init__(self, camera: _Optional[str] = ..., frame_id: _Optional[str] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., camera_matrix: _Optional[_Iterable[float]] = ..., distortion_model: _Optional[str] = ..., distortion: _Optional[_Iterable[float]] = ..., world_camera: _Optional[_Union[Pose, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RigRobot, _Mapping]]] = ..., rig_yaml: _Optional[str] = ..., camera_yaml: _Optional[str] = ..., offset_yaml: _Optional[_Mapping[str, str]] = ..., host: _Optional[str] = ..., pid: _Optional[int] = ..., session: _Optional[int] = ..., started_ns: _Optional[int] = ..., time_ns: _Optional[int] = ..., rate: _Optional[float] = ..., version: _Optional[str] = ..., reloads: _Optional[_Union[Reloads, _Mapping]] = ..., protocol: _Optional[int] = ...) -> None: ...
+    def __init__(self, camera: _Optional[str] = ..., frame_id: _Optional[str] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., camera_matrix: _Optional[_Iterable[float]] = ..., distortion_model: _Optional[str] = ..., distortion: _Optional[_Iterable[float]] = ..., world_camera: _Optional[_Union[Pose, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RigRobot, _Mapping]]] = ..., rig_yaml: _Optional[str] = ..., camera_yaml: _Optional[str] = ..., offset_yaml: _Optional[_Mapping[str, str]] = ..., files: _Optional[_Mapping[str, str]] = ..., host: _Optional[str] = ..., pid: _Optional[int] = ..., session: _Optional[int] = ..., started_ns: _Optional[int] = ..., time_ns: _Optional[int] = ..., rate: _Optional[float] = ..., version: _Optional[str] = ..., reloads: _Optional[_Union[Reloads, _Mapping]] = ..., protocol: _Optional[int] = ...) -> None: ...

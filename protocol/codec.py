@@ -8,6 +8,7 @@ import math
 from dataclasses import replace
 from typing import TypeVar
 
+import msgspec
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -88,6 +89,8 @@ def encode_odometry(told: RobotPose) -> bytes:
         message.metadata.add(key="filter", value=told.smoothed_by)
     if told.extrapolated:
         message.metadata.add(key="extrapolated", value="true")
+    if told.cameras:
+        message.metadata.add(key="cameras", value=msgspec.json.encode(told.cameras).decode())
     if told.velocity is not None:
         _set_velocity(message, told.velocity)
     return to_bytes(message) + (_odometry_stamp(told.published_ns) if told.published_ns else b"")
@@ -117,6 +120,14 @@ def _velocity(message: Odometry, metadata: dict[str, str]) -> Velocity | None:
         np.array(message.velocity_covariance[:]).reshape(6, 6),
         (linear, angular),
     )
+
+
+def _cameras(metadata: dict[str, str]) -> tuple[str, ...]:
+    """The cameras that a pose rests on. Raises ValueError for what is no list of names."""
+    try:
+        return msgspec.json.decode(metadata.get("cameras", "[]"), type=tuple[str, ...])
+    except msgspec.DecodeError as error:
+        raise ValueError(f"its cameras are no list of names: {error}") from None
 
 
 def _odometry_stamp(published_ns: int) -> bytes:
@@ -185,6 +196,7 @@ def decode_odometry(payload: bytes) -> RobotPose:
             smoothed_by=metadata.get("filter", ""),
             extrapolated=metadata.get("extrapolated") == "true",
             velocity=_velocity(message, metadata),
+            cameras=_cameras(metadata),
         )
     except (DecodeError, KeyError, ValueError) as error:
         why = str(error)[:_LONGEST]  # it may quote any text of the message

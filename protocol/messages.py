@@ -79,7 +79,8 @@ class RobotPose:
     parent frame; ``state`` is TRACKED or TILT_AMBIGUOUS; ``smoothed_by`` names the filter that joined the pose to those
     of frames before, empty where the pose rests on this frame alone: only that filter knows a ``velocity``;
     ``extrapolated``: the rig corrects Z, but no surveyed pose was near, so the correction is faded or cut off;
-    ``session`` is the server's, 0 where frames were solved again; ``published_ns`` 0 where it did not go out.
+    ``session`` is the server's, 0 where frames were solved again; ``published_ns`` 0 where it did not go out;
+    ``cameras`` names those it rests on, where several are joined.
     """
 
     robot: str
@@ -96,6 +97,7 @@ class RobotPose:
     smoothed_by: str = field(default="", kw_only=True)
     extrapolated: bool = field(default=False, kw_only=True)
     velocity: Velocity | None = field(default=None, kw_only=True)
+    cameras: tuple[str, ...] = field(default=(), kw_only=True)
 
     @property
     def position(self) -> Floats:

@@ -1,0 +1,90 @@
+"""One camera's frame as fusing takes it: a frame report as arrays, its spots as rays."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.protocol import asterism_pb2 as pb
+from asterism.protocol.codec import report_pose
+from asterism.protocol.errors import InputError
+from asterism.protocol.geometry import Floats, Pose
+from asterism.protocol.messages import Fate
+from asterism.server.fusing.fleet import View
+from asterism.server.pose.lens import undistort
+
+USABLE = (int(Fate.LED), int(Fate.UNEXPLAINED))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """A camera's frame: the spots that may be LEDs, n of them, in the order of the report.
+
+    ``centres_px`` (n, 2) with ``covariances_px2`` (n, 3) xx, xy, yy; ``rays`` (n, 2) = (x / z, y / z) in the camera's
+    frame with ``ray_covariances`` (n, 3); ``robots`` (n,) of the view's rig and ``leds`` (n,), -1 where the camera does
+    not say whose they are. ``told`` is what the camera says of its robots, by their ids; ``misfits_m`` how far off
+    their LEDs were found to be, one sigma, m, 0 where nothing is known yet. T_world_camera with its covariance (6, 6),
+    m and rad about the world's axes: where the camera was.
+    """
+
+    view: View
+    exposed_ns: int
+    session: int
+    sequence: int
+    T_world_camera: Pose
+    place_covariance: Floats
+    centres_px: Floats
+    covariances_px2: Floats
+    rays: Floats
+    ray_covariances: Floats
+    robots: NDArray[np.int64]
+    leds: NDArray[np.int64]
+    told: "dict[str, pb.RobotReport]"
+    misfits_m: dict[str, float]
+
+    @property
+    def camera(self) -> str:
+        """The camera's name."""
+        return self.view.camera
+
+
+def sighting_of(report: "pb.FrameReport", view: View) -> Sighting:
+    """The sighting in a frame report of that camera. Raises InputError for a report that does not fit its rig."""
+    ids = [robot.id for robot in view.rig.robots]
+    if [entry.id for entry in report.robots] != ids:
+        raise InputError(
+            f"a frame report of camera {view.camera} tells of robots {', '.join(entry.id for entry in report.robots)}, "
+            f"expected those of its rig: {', '.join(ids)}"
+        )
+    spots = report.spots
+    columns = (spots.x, spots.y, spots.covariance_xx, spots.covariance_xy, spots.covariance_yy, spots.fate, spots.robot,
+               spots.led)  # fmt: skip
+    if len({len(column) for column in columns}) != 1:
+        raise InputError(f"a frame report of camera {view.camera} has columns of spots of unlike lengths")
+    fates = np.array(spots.fate, np.int64)
+    kept = np.flatnonzero(np.isin(fates, USABLE))
+    numbers = [np.array(column, np.float64)[kept] for column in columns[:5]]
+    centres, covariances = np.column_stack(numbers[:2]), np.column_stack(numbers[2:])
+    rays, ray_covariances = np.empty_like(centres), np.empty_like(covariances)
+    undistort(view.lens, centres, covariances, rays, ray_covariances)
+    T_world_camera, place_covariance = view.T_world_camera, view.place_covariance
+    if report.HasField("camera"):
+        T_world_camera = report_pose(report.camera.pose)
+        place_covariance = np.array(report.camera.covariance[:], np.float64).reshape(6, 6)
+    misfits = dict(zip(ids, report.learned.led_misfit, strict=False))
+    return Sighting(
+        view=view,
+        exposed_ns=report.exposed_ns,
+        session=report.session,
+        sequence=report.sequence,
+        T_world_camera=T_world_camera,
+        place_covariance=place_covariance,
+        centres_px=centres,
+        covariances_px2=covariances,
+        rays=rays,
+        ray_covariances=ray_covariances,
+        robots=np.array(spots.robot, np.int64)[kept],
+        leds=np.array(spots.led, np.int64)[kept],
+        told={entry.id: entry for entry in report.robots},
+        misfits_m=misfits,
+    )
