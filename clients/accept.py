@@ -7,7 +7,7 @@ from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import RobotPose
 
 LOCATED = ("TRACKED", "TILT_AMBIGUOUS")
-LEDS = range(4, 7)  # that a pose can rest on
+LEDS = range(3, 7)  # that a pose can rest on: three where several cameras see them
 LONGEST_S = 600.0  # from exposure to publishing
 _NS = 1 << 63
 UNEVEN = 1e-6  # of a covariance's two halves, as a correlation

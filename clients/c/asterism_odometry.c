@@ -174,7 +174,7 @@ static asterism_error read_metadata(reading *from) {
     if (is(from->values[STATE], "TRACKED")) pose->state = ASTERISM_TRACKED;
     if (is(from->values[STATE], "TILT_AMBIGUOUS")) pose->state = ASTERISM_TILT_AMBIGUOUS;
     if (pose->state == 0) return ASTERISM_STATE;
-    if (leds < 4 || leds > 6) return ASTERISM_LEDS;
+    if (leds < 3 || leds > 6) return ASTERISM_LEDS;
     pose->leds = (uint8_t)leds;
     pose->smoothed = is(from->values[SMOOTHED], "true");
     pose->extrapolated = is(from->values[EXTRAPOLATED], "true");

@@ -195,7 +195,7 @@ REFUSED = [
     ("is of another robot", of("body_frame_id", "")),
     ("has a state", metadata("state", "LOST")),
     ("has a state", metadata("state", "TRACKED ")),
-    ("rests on", metadata("leds", "3")),
+    ("rests on", metadata("leds", "2")),
     ("rests on", metadata("leds", "260")),  # 4 in eight bits
     *(("has a position", of(f"pose.position.{axis}", value)) for axis, value in zip(
         "xyz", (float("nan"), float("inf"), -1.1e9), strict=True)),

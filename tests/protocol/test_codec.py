@@ -77,6 +77,17 @@ def test_odometry_round_trip() -> None:
         assert getattr(back, name) == getattr(told, name), name
 
 
+def test_the_cameras_of_a_joined_pose_round_trip_and_no_list_is_refused() -> None:
+    joined = replace(make_golden.ROBOT_POSE, cameras=("left", 'the "other", ü'), leds=3)
+    payload = encode_odometry(joined)
+    assert decode_odometry(payload).cameras == joined.cameras
+    for wrong in ("left", '{"left": 1}', "[1]", "[" * 100_000):
+        more = Odometry()
+        more.metadata.add(key="cameras", value=wrong)
+        with pytest.raises(InputError, match="cameras are no list of names"):
+            decode_odometry(payload + to_bytes(more))
+
+
 def test_a_velocity_round_trips_and_half_of_one_is_refused() -> None:
     told = make_golden.SMOOTHED_POSE.velocity
     back = decode_odometry(encode_odometry(make_golden.SMOOTHED_POSE)).velocity
