@@ -10,7 +10,7 @@ from asterism.protocol.camera import Camera, load_camera, parse_camera
 from asterism.protocol.capture import Capture, read_capture
 from asterism.protocol.constellation import LEDS, Confusion, confusions, extent, plane_of
 from asterism.protocol.geometry import Floats, Pose, frozen_array
-from asterism.protocol.keys import key_problem
+from asterism.protocol.keys import FUSED, key_problem
 from asterism.protocol.led_offset import LedOffset, parse_offset
 from asterism.protocol.led_positions import read_leds
 from asterism.protocol.rig_files import Named, beside, kept, on_disk
@@ -116,6 +116,11 @@ def load_rig(path: str | Path) -> Rig:
     if not camera_path.exists():
         raise section.error("camera", f"there is no file {camera_path}, expected a camera_info calibration file")
     camera = load_camera(camera_path)
+    if camera.name == FUSED:  # not where texts are parsed: a recording of what was joined has a rig of that name
+        raise section.error(
+            "camera",
+            f"{camera_path} has camera_name '{FUSED}', which names what asterism fuse publishes; give it another value",
+        )
     texts = read_text(path, "a rig"), read_text(camera_path, "a camera_info calibration file")
     rig = _rig(section, camera, *texts, on_disk(path.parent))
     return replace(rig, files={**rig.files, **beside(path, name)})
