@@ -30,7 +30,7 @@ BEYOND = COVARIANCE + 2e-10 * (np.eye(6, k=1) + np.eye(6, k=-1))
 
 def test_what_a_server_tells_is_taken() -> None:
     for state in ("TRACKED", "TILT_AMBIGUOUS"):
-        for leds in (3, 4, 5, 6):
+        for leds in (4, 5, 6):
             assert problem(replace(POSE, state=state, leds=leds, velocity=MOVING), "alpha") is None
     assert problem(replace(POSE, published_ns=POSE.exposed_ns), "alpha") is None  # solved again
     for golden in (ROBOT_POSE, SMOOTHED_POSE):
@@ -44,8 +44,7 @@ def test_what_a_server_tells_is_taken() -> None:
         ({"robot": "\x1b[2J"}, r"is of robot '\\x1b\[2J'"),
         ({"state": "LOST"}, "has state 'LOST', expected TRACKED or TILT_AMBIGUOUS"),
         ({"state": ""}, "has state ''"),
-        ({"leds": -6}, "rests on -6 LEDs, expected 3 to 6"),
-        ({"leds": 2}, "rests on 2 LEDs"),
+        ({"leds": -6}, "rests on -6 LEDs, expected 4 to 6"),
         ({"leds": 7}, "rests on 7 LEDs"),
         ({"leds": 10**400}, "rests on a number of many digits LEDs"),
         ({"rms_px": float("nan")}, "has residuals of nan px"),
