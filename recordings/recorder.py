@@ -31,7 +31,7 @@ from asterism.recordings.packing import PLAIN, ZSTD, ZSTD_AND_CRC
 from asterism.recordings.room import Room
 from asterism.recordings.series import Series
 from asterism.recordings.spots import Spots, SpotWindows
-from asterism.recordings.told import OFFSET_KEY
+from asterism.recordings.told import rig_metadata
 from asterism.recordings.viewers import Viewers, first_messages
 
 _LOG = logging.getLogger(__name__)
@@ -99,7 +99,7 @@ class Recorder:
             "source": source,
             "started": started.isoformat(),
         }
-        metadata = self._run_metadata | _rig_metadata(rig)
+        metadata = self._run_metadata | rig_metadata(rig)
         self._poses = Series(
             self.folder, "poses", ZSTD_AND_CRC, POSES_SPLIT_BYTES, metadata, lambda: first_messages(self._rig)
         )
@@ -207,7 +207,7 @@ class Recorder:
 
     def _change_rig(self, rig: Rig) -> None:
         self._rig, self._viewers = rig, Viewers(rig)
-        metadata = self._run_metadata | _rig_metadata(rig)
+        metadata = self._run_metadata | rig_metadata(rig)
         for series, stop in ((self._poses, self._stop), (self._frames, self._stop_frames)):
             try:
                 series.begin_anew(metadata)
@@ -314,16 +314,6 @@ class Recorder:
             "messages_left_out": str(self.messages_left_out),
             "frames_deleted": str(self.frames_deleted),
         }
-
-
-def _rig_metadata(rig: Rig) -> dict[str, str]:
-    return {
-        "camera": rig.camera.name,
-        "frame_id": rig.parent_frame,
-        "rig.yaml": rig.rig_text,
-        "camera.yaml": rig.camera_text,
-        **{f"{OFFSET_KEY}{name}": text for name, text in rig.offset_texts.items()},
-    }
 
 
 def _new_folder(parent: Path, name: str) -> Path:

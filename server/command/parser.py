@@ -14,6 +14,7 @@ COMMANDS = {
     "demo": "simulated camera, five robots on a curved surface: serve, record, watch",
     "cameras": "what cameras there are, how to name each as SOURCE, their sizes and rates",
     "serve": "localize the robots that a source shows, publish their poses",
+    "fuse": "poses of several cameras joined per robot, live from the network or from recordings",
     "reload": "let a running server read its rig and calibration again",
     "locate": "poses of a folder of images, a video or a recording, as JSON lines",
     "watch": "live table of every robot, its age, its state",
