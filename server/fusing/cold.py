@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.protocol.rig import Robot
+from asterism.server.centres.blobs import Ints
 from asterism.server.fusing.arrays import still
 from asterism.server.fusing.decide import Doubts, decided
-from asterism.server.fusing.joined import UNKNOWN_RATES, Hypothesis, Joined
+from asterism.server.fusing.joined import UNKNOWN_RATES, Hypothesis, Joined, without
 from asterism.server.fusing.look import Body, Course, State
 from asterism.server.fusing.triples import Guesses, Limits, Sought, guess, room_to_guess
 from asterism.server.identity.plan import NEARER, plan_for
@@ -26,6 +27,7 @@ LEAST = 6  # LEDs seen in all cameras together
 SHARP_PX = 0.08  # what a good rig is off
 GUESSES = 96  # that are looked into
 MOST = 20_000  # poses that are tried in one exposure
+AT_ONCE = 3000  # before what they explain is looked into
 STRIDE = 7919  # a prime: another exposure begins elsewhere
 TICK_NS = 1_000_000
 SAME_M, SAME_RAD = 0.1, 0.15  # of a robot's extent: poses that are one
@@ -41,7 +43,20 @@ def searched(
     """
     if not sought or _too_few(joined, free):
         return [], {}
-    return decided(list(_best_of_each(_explanations(joined, sought, free, most))))
+    found: list[Hypothesis] = []
+    doubts: Doubts = {}
+    start = (joined.exposed_ns // TICK_NS) * STRIDE
+    while sought and most > 0:
+        told, tried, turns = _explanations(joined, sought, free, (min(most, AT_ONCE), start))
+        more, doubtful = decided(_best_of_each(told))
+        found, doubts = found + more, doubts | doubtful
+        # Spots that are explained are searched no more.
+        free = without(free, [*more, *(one for group in doubtful.values() for one in group)])
+        sought = [robot for robot in sought if all(robot.id not in of for of in (doubts, [h.robot for h in found]))]
+        if (turns < 0 and not more) or _too_few(joined, free):
+            break
+        start, most = start + max(turns, 0), most - max(tried, 1)
+    return found, doubts
 
 
 def _too_few(joined: Joined, free: NDArray[np.bool_]) -> bool:
@@ -50,35 +65,40 @@ def _too_few(joined: Joined, free: NDArray[np.bool_]) -> bool:
     return max(counts) < 3 or sum(counts) < LEAST or sum(count > 0 for count in counts) < 2
 
 
-def _explanations(joined: Joined, sought: Sequence[Robot], free: NDArray[np.bool_], most: int) -> Iterator[Hypothesis]:
-    """What the guesses explain, each with its odds after all ways there were to try."""
-    guesses = _guesses(joined, sought, free, most)
+def _explanations(
+    joined: Joined, sought: Sequence[Robot], free: NDArray[np.bool_], limits: tuple[int, int]
+) -> tuple[list[Hypothesis], int, int]:
+    """What the guesses explain, each with its odds after all ways there were to try; how many poses were tried, and of
+    how many triples, -1 for all. ``limits``: of poses, and the triple to begin with.
+    """
+    guesses, tried, turns = _guesses(joined, sought, free, limits)
+    told: list[Hypothesis] = []
     order = np.argsort(-guesses.seen, kind="stable")
-    told_already: list[Hypothesis] = []
     for k in order[guesses.seen[order] >= LEAST]:
         number, camera, *rest = guesses.who[k].tolist()
         spots, leds, triples = rest[:3], rest[3:6], rest[6]
         robot = sought[number]
-        if any(other.robot == robot.id and (other.labels[camera, leds] == spots).all() for other in told_already):
+        if any(other.robot == robot.id and (other.labels[camera, leds] == spots).all() for other in told):
             continue
+        start = State(guesses.rotations[k], guesses.ts[k], np.zeros((6, 6)))
         labels = joined.no_labels()
         labels[camera, leds] = spots
-        open_spots = free.copy()
-        open_spots[spots] = False
-        start = State(guesses.rotations[k], guesses.ts[k], np.zeros((6, 6)))
-        tries = math.log(120.0 * len(sought) * max(triples, 1))
-        best: Hypothesis | None = None
-        for body in _bodies(joined, robot):
-            told = joined.explain_with(body, robot, start, labels, open_spots.copy())
-            if told is not None and _holds(told) and (best is None or told.odds > best.odds):
-                best = told
+        best = _explained(joined, robot, start, labels, free)
         if best is not None:
-            told_already.append(best)
-            yield _counted(best, tries)
+            told.append(replace(best, odds=best.odds - math.log(120.0 * len(sought) * max(triples, 1))))
+    return told, tried, turns
 
 
-def _counted(hypothesis: Hypothesis, tries: float) -> Hypothesis:
-    return replace(hypothesis, odds=hypothesis.odds - tries)
+def _explained(joined: Joined, robot: Robot, start: State, labels: Ints, free: NDArray[np.bool_]) -> Hypothesis | None:
+    """What the spots around a guess are, with the likeliest of what the rig may be off; None where they do not hold."""
+    open_spots = free.copy()
+    open_spots[labels[labels >= 0]] = False
+    best: Hypothesis | None = None
+    for body in _bodies(joined, robot):
+        told = joined.explain_with(body, robot, start, labels, open_spots.copy())
+        if told is not None and _holds(told) and (best is None or told.odds > best.odds):
+            best = told
+    return best
 
 
 def _holds(told: Hypothesis) -> bool:
@@ -95,7 +115,9 @@ def _bodies(joined: Joined, robot: Robot) -> Iterator[Body]:
         yield body._replace(systematic=body.systematic * (SHARP_PX / SYSTEMATIC_PX))
 
 
-def _guesses(joined: Joined, sought: Sequence[Robot], free: NDArray[np.bool_], most: int) -> Guesses:
+def _guesses(
+    joined: Joined, sought: Sequence[Robot], free: NDArray[np.bool_], limits: tuple[int, int]
+) -> tuple[Guesses, int, int]:
     bodies = [joined.body(robot) for robot in sought]
     robots = Sought(
         np.array([body.layout for body in bodies]),
@@ -105,17 +127,14 @@ def _guesses(joined: Joined, sought: Sequence[Robot], free: NDArray[np.bool_], m
         np.array([robot.extent for robot in sought]),
     )
     plans = [plan_for(sighting.view.rig) for sighting in joined.sightings]
-    limits = Limits(
-        np.array([NEARER * plan.near for plan in plans]),
-        np.array([plan.far for plan in plans]),
-        most,
-        (joined.exposed_ns // TICK_NS) * STRIDE,
-    )
+    near, far = np.array([NEARER * plan.near for plan in plans]), np.array([plan.far for plan in plans])
     guesses = room_to_guess(GUESSES)
     prior = State(np.eye(3), np.zeros(3), np.zeros((6, 6)))
     state = State(np.eye(3), np.zeros(3), np.zeros((6, 6)))
-    guess(joined.scene, robots, _course(joined), free, limits, state, prior, joined.room, guesses)
-    return guesses
+    tried, turns = guess(
+        joined.scene, robots, _course(joined), free, Limits(near, far, *limits), state, prior, joined.room, guesses
+    )
+    return guesses, tried, turns
 
 
 def _course(joined: Joined) -> Course:
@@ -135,7 +154,7 @@ def is_same(one: Hypothesis, other: Hypothesis, extent: float) -> bool:
     return away < SAME_M * extent and turned > math.cos(0.5 * SAME_RAD)
 
 
-def _best_of_each(hypotheses: Iterator[Hypothesis]) -> list[Hypothesis]:
+def _best_of_each(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """The likeliest first, each place of a robot once."""
     kept: list[Hypothesis] = []
     for hypothesis in sorted(hypotheses, key=lambda h: -h.odds):

@@ -267,7 +267,8 @@ def _keep(guesses, seen, who, rotation, t):
 
 @compiled
 def guess(scene, sought, course, free, limits, state, prior, room, guesses):
-    """Fill the `Guesses` from the ``free`` (n,) spots of all cameras, and return how many poses were tried.
+    """Fill the `Guesses` from the ``free`` (n,) spots of all cameras; returns how many poses were tried, and
+    of how many triples, -1 for all.
 
     ``state`` and ``prior`` (`look.State`) and ``room`` are scratch, the prior with information 0.
     """
@@ -287,7 +288,7 @@ def guess(scene, sought, course, free, limits, state, prior, room, guesses):
     tried = 0
     for turn in range(count):
         if tried >= limits.most:
-            break
+            return tried, turn
         triple = triples[(limits.start + turn) % count]
         home = triple[0]
         at_home = _at_home(scene, free, directions, triple, reach[home])
@@ -307,7 +308,7 @@ def guess(scene, sought, course, free, limits, state, prior, room, guesses):
                 scene, sought, course, free, limits, state, prior, room, guesses, robot, triple, directions,
                 (depths, slack, supports, needed, at_home),
             )  # fmt: skip
-    return tried
+    return tried, -1
 
 
 @compiled

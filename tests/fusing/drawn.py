@@ -1,80 +1,91 @@
-"""Sightings drawn with noise, as cameras would report them: spots of robots and glints, with or without claims."""
+"""Sightings without pictures: spots where LEDs truly are, with drawn noise, and what the cameras say of them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.codec import set_report_pose
-from asterism.protocol.geometry import Floats, Pose
-from asterism.protocol.messages import Fate
-from asterism.protocol.rig import Rig, Robot
+from asterism.protocol.geometry import Floats, Pose, exp_rotation
 from asterism.server.fusing.fleet import View
-from asterism.server.fusing.sighting import Sighting, sighting_of
-from asterism.server.pose.spot_shift import OPTICS, spots_at
+from asterism.server.fusing.sighting import Sighting
+from asterism.server.pose.lens import undistort
+from tests.helpers import conic_centres
 
-NOISE_PX = 0.05
-Lit = Mapping[str, Sequence[int]]  # the LEDs that a camera sees, by the robots' ids
-
-
-def spots_px(rig: Rig, robot: Robot, pose: Pose) -> Floats:
-    """Where a camera sees a robot's LEDs (6, 2), px."""
-    assert rig.T_world_camera is not None
-    plane = rig.T_world_camera.inverse() @ pose @ robot.T_robot_plane
-    pixels, view = np.empty((1, 6, 2)), View(rig)
-    optics = view.optics.get(robot.id, np.zeros(OPTICS))
-    spots_at(view.lens, robot.leds_plane[None], optics[None], plane.rotation[None], plane.position[None], pixels)
-    return pixels[0]
+SIGMA_PX = 0.02
 
 
-def drawn(
-    rig: Rig, robots: Mapping[str, tuple[Robot, Pose]], lit: Lit, rng: np.random.Generator, glints: int = 0,
-    claimed: Mapping[str, Pose] | None = None, exposed_ns: int = 0,
-) -> Sighting:  # fmt: skip
-    """What one camera reports of robots at their poses T_world_robot: ``lit`` LEDs as spots, shuffled with ``glints``.
-
-    ``claimed`` are robots of which the camera says itself whose the spots are, with the poses it tells.
+@dataclass(frozen=True)
+class Seen:
+    """How a camera sees: where it truly stands, by how much LEDs are truly elsewhere, (6, 3) m by the robots' ids, the
+    noise of its spots, and which LEDs it sees.
     """
-    claimed = claimed or {}
-    ids = [robot.id for robot in rig.robots]
-    rows: list[tuple[Floats, int, int]] = []
-    for name, (robot, pose) in robots.items():
-        pixels = spots_px(rig, robot, pose) + rng.normal(0, NOISE_PX, (6, 2))
-        number = ids.index(name) if name in claimed else -1
-        for led in lit.get(name, ()):
-            rows.append((pixels[led], number, led if number >= 0 else -1))
-    size = np.array([rig.camera.width, rig.camera.height])
-    rows = [row for row in rows if ((row[0] > 2) & (row[0] < size - 2)).all()]
-    rows += [(rng.uniform(5, size - 5), -1, -1) for _ in range(glints)]
-    order = rng.permutation(len(rows))
-    report = pb.FrameReport(exposed_ns=exposed_ns, frame_id="world")
-    for k in order:
-        (x, y), number, led = rows[k]
-        report.spots.x.append(x)
-        report.spots.y.append(y)
-        report.spots.covariance_xx.append(NOISE_PX**2)
-        report.spots.covariance_xy.append(0.0)
-        report.spots.covariance_yy.append(NOISE_PX**2)
-        report.spots.fate.append(Fate.LED if number >= 0 else Fate.UNEXPLAINED)
-        report.spots.robot.append(number)
-        report.spots.led.append(led)
-    for name in ids:
-        entry = report.robots.add(id=name, state=pb.State.LOST)
-        if name in claimed:
-            entry.state = pb.State.TRACKED
-            set_report_pose(entry.pose, claimed[name])
-            entry.covariance.extend((1e-6 * np.eye(6)).ravel().tolist())
-    report.learned.led_misfit.extend([0.0] * len(ids))
-    return sighting_of(report, View(rig))
+
+    T_world_camera: Pose | None = None
+    led_errors: Mapping[str, Floats] = field(default_factory=dict)
+    sigma_px: float = SIGMA_PX
+    lit: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    misfit_m: float = 0.0
 
 
-def truth_of(sighting: Sighting, rig: Rig, robot: Robot, pose: Pose, within_px: float = 0.5) -> Floats:
-    """Which rows of a sighting are a robot's LEDs (6,), -1 where there is no spot."""
-    pixels = spots_px(rig, robot, pose)
-    away = np.linalg.norm(sighting.centres_px[None] - pixels[:, None], axis=-1)
-    rows = away.argmin(axis=1)
-    out: Floats = np.where(away[np.arange(6), rows] < within_px, rows, -1)
-    return out
+def sighting(
+    view: View, poses: Mapping[str, Pose], exposed_ns: int, rng: np.random.Generator, seen: Seen | None = None
+) -> Sighting:
+    """What a camera shows of robots at T_world_robot; it knows whose its spots are, and its own poses are near."""
+    seen = seen or Seen()
+    rig, rays, owners = view.rig, [np.zeros((0, 2))], []
+    T_camera_world = (seen.T_world_camera or view.T_world_camera).inverse()
+    told = {robot.id: pb.RobotReport(id=robot.id, state=pb.State.Value("LOST")) for robot in rig.robots}
+    for k, robot in enumerate(rig.robots):
+        leds = list(seen.lit.get(robot.id, range(6))) if robot.id in poses else []
+        if not leds:
+            continue
+        T = T_camera_world @ poses[robot.id]
+        points = robot.leds + seen.led_errors.get(robot.id, 0.0)
+        T_camera_plane = T @ robot.T_robot_plane
+        places = robot.T_robot_plane.inverse().map(points)
+        shown = T_camera_plane.map(places)
+        shift = conic_centres(T_camera_plane, robot.leds_plane * [1, 1, 0], robot.led_radius or 0.0)
+        middle = T_camera_plane.map(robot.leds_plane)
+        rays.append((shown[:, :2] / shown[:, 2:] + shift - middle[:, :2] / middle[:, 2:])[leds])
+        owners += [(k, led) for led in leds]
+        _tell(told[robot.id], poses[robot.id], len(leds), rng)
+    ideal = np.concatenate(rays)
+    pixels = rig.camera.project(np.column_stack([ideal, np.ones(len(ideal))]))
+    pixels = pixels + seen.sigma_px * rng.normal(size=pixels.shape)
+    covariances = np.tile([seen.sigma_px**2, 0.0, seen.sigma_px**2], (len(pixels), 1))
+    found, spreads = np.empty_like(pixels), np.empty_like(covariances)
+    undistort(view.lens, pixels, covariances, found, spreads)
+    whose = np.array(owners, np.int64).reshape(-1, 2)
+    return Sighting(
+        view=view,
+        exposed_ns=exposed_ns,
+        session=1,
+        sequence=0,
+        T_world_camera=view.T_world_camera,
+        place_covariance=view.place_covariance,
+        centres_px=pixels,
+        covariances_px2=covariances,
+        rays=found,
+        ray_covariances=spreads,
+        robots=whose[:, 0],
+        leds=whose[:, 1],
+        told=told,
+        misfits_m=dict.fromkeys(told, seen.misfit_m),
+    )
 
 
-Draw = Callable[..., Sighting]
+def _tell(report: "pb.RobotReport", pose: Pose, leds: int, rng: np.random.Generator) -> None:
+    turn = exp_rotation(0.01 * rng.normal(size=3))
+    set_report_pose(report.pose, Pose.from_matrix(turn @ pose.rotation, pose.position + 1e-3 * rng.normal(size=3)))
+    report.state = pb.State.Value("TRACKED")
+    report.covariance.extend(np.diag([1e-6] * 3 + [1e-4] * 3).ravel().tolist())
+    report.leds, report.rms_px = leds, 0.02
+
+
+def moved_world(view: View, T: Pose) -> View:
+    """The same camera in a world whose origin is elsewhere: T maps points of the old world into the new one."""
+    both = np.kron(np.eye(2), T.rotation)
+    place = T @ view.T_world_camera
+    return View(replace(view.rig, T_world_camera=place), both @ view.place_covariance @ both.T)
