@@ -166,12 +166,15 @@ def _agreeing(depths, slack, count, depth):
 
 
 @compiled
-def _most_agreeing(depths, slack, count):
-    most = 0
+def _nearest(depths, slack, count, needed):
+    """The least distance at which enough of the other cameras' spots may belong to a robot; inf if there is none."""
+    nearest = np.inf
     for k in range(count):
-        for end in (-1.0, 1.0):
-            most = max(most, _agreeing(depths, slack, count, depths[k] + end * 0.999 * slack[k]))
-    return most
+        for end in (-0.999, 0.999):
+            depth = depths[k] + end * slack[k]
+            if depth < nearest and _agreeing(depths, slack, count, depth) >= needed:
+                nearest = depth
+    return nearest
 
 
 @compiled
@@ -301,12 +304,15 @@ def guess(scene, sought, course, free, limits, state, prior, room, guesses):
             middle[axis] *= per
         supports = _supports(scene, free, directions, home, middle, largest, limits, depths, slack)
         needed = max(LEAST - min(at_home, LEDS), 1)
-        if supports < needed or _most_agreeing(depths, slack, supports) < needed:
+        if supports < needed:
+            continue
+        nearest = max(_nearest(depths, slack, supports, needed), limits.near[home])
+        if not nearest < limits.far[home]:
             continue
         for robot in range(sought.extents.shape[0]):
             tried += _try_robot(
                 scene, sought, course, free, limits, state, prior, room, guesses, robot, triple, directions,
-                (depths, slack, supports, needed, at_home),
+                (depths, slack, supports, needed, at_home, nearest),
             )  # fmt: skip
     return tried, -1
 
@@ -316,7 +322,7 @@ def _try_robot(
     scene, sought, course, free, limits, state, prior, room, guesses, robot, triple, directions, told,
 ):  # fmt: skip
     """Try three spots as any three LEDs of a robot; returns how many poses that were."""
-    depths, slack, supports, needed, at_home = told
+    depths, slack, supports, needed, at_home, nearest = told
     home = triple[0]
     extent, layout = sought.extents[robot], sought.layouts[robot]
     body = Body(layout, sought.optics[robot], sought.misfits[robot], sought.systematic[robot])
@@ -332,13 +338,19 @@ def _try_robot(
         - seen[0, 1] * (seen[1, 0] * seen[2, 2] - seen[1, 2] * seen[2, 0])
         + seen[0, 2] * (seen[1, 0] * seen[2, 1] - seen[1, 1] * seen[2, 0])
     )
+    # Sides that are so long at least, wherever the robot is: the LEDs that they join are as far apart.
+    side = max(nearest - 0.5 * extent, 0.0)
+    ab, bc = side * _chord(seen, 0, 1), side * _chord(seen, 1, 2)
+    ac = side * _chord(seen, 0, 2)
+    if max(ab, ac, bc) > extent:
+        return 0
     tried = 0
     for a in range(LEDS):
         for b in range(LEDS):
-            if b == a:
+            if b == a or _between(layout, a, b) < ab:
                 continue
             for c in range(LEDS):
-                if c in (a, b):
+                if c in (a, b) or _between(layout, a, c) < ac or _between(layout, b, c) < bc:
                     continue
                 across = (layout[b, 0] - layout[a, 0]) * (layout[c, 1] - layout[a, 1])
                 across -= (layout[b, 1] - layout[a, 1]) * (layout[c, 0] - layout[a, 0])
@@ -376,6 +388,20 @@ def _try_robot(
                     who[8] = at_home * (at_home - 1) * (at_home - 2) // 6
                     _keep(guesses, count, who, state.rotation, state.t)
     return tried
+
+
+@compiled
+def _chord(directions, i, j):
+    return math.sqrt(
+        (directions[i, 0] - directions[j, 0]) ** 2
+        + (directions[i, 1] - directions[j, 1]) ** 2
+        + (directions[i, 2] - directions[j, 2]) ** 2
+    )
+
+
+@compiled
+def _between(layout, i, j):
+    return math.hypot(layout[i, 0] - layout[j, 0], layout[i, 1] - layout[j, 1])
 
 
 @compiled
