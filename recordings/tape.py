@@ -176,4 +176,5 @@ def _reports(recording: Recording) -> "Iterator[tuple[pb.FrameReport, Rig]]":
 def _time(time_ns: int) -> str:
     if time_ns < SINCE_1980_NS:
         return f"{time_ns * 1e-9:.3f} s"
-    return datetime.fromtimestamp(time_ns * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    second = datetime.fromtimestamp(time_ns // 10**9, UTC)
+    return f"{second:%Y-%m-%d %H:%M:%S}.{time_ns // 10**6 % 1000:03d} UTC"
