@@ -16,7 +16,7 @@ COMMANDS = {
     "serve": "localize the robots that a source shows, publish their poses",
     "fuse": "poses of several cameras joined per robot, live from the network or from recordings",
     "reload": "let a running server read its rig and calibration again",
-    "locate": "poses of a folder of images, a video or a recording, as JSON lines",
+    "locate": "poses of a folder of images, a video or a recording, as JSON lines or a recording",
     "watch": "live table of every robot, its age, its state",
     "record": "record what servers publish, by listening to them",
     "replay": "publish a recording again with its timing, every key behind replay/",
