@@ -7,7 +7,8 @@ from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import RobotPose
 
 LOCATED = ("TRACKED", "TILT_AMBIGUOUS")
-LEDS = range(4, 7)  # that a pose can rest on
+LEDS = range(4, 7)  # that a pose can rest on, ...
+JOINED = range(3, 7)  # ... where cameras are joined: several may each see the same three
 LONGEST_S = 600.0  # from exposure to publishing
 _NS = 1 << 63
 UNEVEN = 1e-6  # of a covariance's two halves, as a correlation
@@ -20,8 +21,9 @@ def problem(pose: RobotPose, robot: str) -> str | None:
         return f"is of robot {pose.robot[:40]!r}"
     if pose.state not in LOCATED:
         return f"has state {pose.state[:40]!r}, expected {' or '.join(LOCATED)}"
-    if pose.leds not in LEDS:
-        return f"rests on {_number(pose.leds)} LEDs, expected {LEDS[0]} to {LEDS[-1]}"
+    leds = JOINED if pose.cameras else LEDS
+    if pose.leds not in leds:
+        return f"rests on {_number(pose.leds)} LEDs, expected {leds[0]} to {leds[-1]}"
     if not _is_within(pose.position, MOST):
         return f"has a position that is not finite, or beyond {MOST:g} m"
     if not 0.0 <= pose.rms_px <= MOST:

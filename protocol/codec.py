@@ -277,6 +277,7 @@ def encode_rig(rig: Rig) -> bytes:
         rig_yaml=rig.rig_text,
         camera_yaml=rig.camera_text,
         offset_yaml=rig.offset_texts,
+        files=rig.files,
         version=__version__,
         protocol=PROTOCOL,
     )

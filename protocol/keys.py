@@ -2,6 +2,7 @@
 
 PREFIX = "asterism"
 REPLAY = "replay/"  # before every key of a replay
+FUSED = "fused"  # stands where a camera's name does, for what `asterism fuse` publishes: no camera has it
 LONGEST_NAME = 128  # bytes, of a camera, robot or point
 
 # What a client of one robot, of any camera, subscribes to is `odometry("*", robot)`.

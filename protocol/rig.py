@@ -1,8 +1,8 @@
 """rig.yaml: one camera and its robots, read strictly into values that never change."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
@@ -10,8 +10,10 @@ from asterism.protocol.camera import Camera, load_camera, parse_camera
 from asterism.protocol.capture import Capture, read_capture
 from asterism.protocol.constellation import LEDS, Confusion, confusions, extent, plane_of
 from asterism.protocol.geometry import Floats, Pose, frozen_array
-from asterism.protocol.keys import key_problem
+from asterism.protocol.keys import FUSED, key_problem
 from asterism.protocol.led_offset import LedOffset, parse_offset
+from asterism.protocol.led_positions import read_leds
+from asterism.protocol.rig_files import Named, beside, kept, on_disk
 from asterism.protocol.rig_hints import (
     FARTHEST_POINT,
     LED_WORDS,
@@ -29,10 +31,7 @@ from asterism.protocol.z_correction import ZCorrection, read_correction
 
 RIG_KEYS = ("camera", "range", "masks", "centre", "capture", "world", "z_correction", "robots")
 ESTIMATORS = ("edge-model", "grey-square", "clip", "zernike")  # the first is the default
-COPLANAR = 0.02  # of the extent: LEDs farther from their common plane are refused
 SEPARATION = 0.02  # of the extent: constellations nearer than this cannot be told apart
-LARGEST_M = 5.0  # between two LEDs of a robot
-NEAREST_LEDS = 0.03  # of the extent: LEDs nearer than this would be one spot
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +85,9 @@ class Rig:
     z_correction: ZCorrection | None = None
     rig_text: str = ""
     camera_text: str = ""
-    offset_texts: Mapping[str, str] = field(default_factory=dict)  # by the name that led.offset gives
+    offset_texts: Mapping[str, str] = field(default_factory=dict)  # by the path from the rig that led.offset gives
+    robots_name: str = ""  # of the file that its `robots` names; empty: they stand in the rig itself
+    files: Mapping[str, str] = field(default_factory=dict)  # the texts of all others that it rests on (`rig_files`)
 
     @property
     def parent_frame(self) -> str:
@@ -101,54 +102,55 @@ class Rig:
         raise KeyError(robot_id)
 
 
-# The text of a file that a led.offset names; the section is for sentences.
-_OffsetText = Callable[[Section, str], str]
-
-
 def load_rig(path: str | Path) -> Rig:
-    """Read a rig.yaml and the files it names: camera, LED offsets.
+    """Read a rig.yaml and the files it names: camera, robots, LED offsets; and those beside them that say how wrong
+    they may be.
 
     Raises InputError with file, key, what was found and what is accepted.
     """
     path = Path(path)
     section = read_yaml(path)
     section.only(RIG_KEYS, RIG_WORDS)
-    camera_path = path.parent / section.text("camera")
+    name = section.text("camera")
+    camera_path = path.parent / name
     if not camera_path.exists():
         raise section.error("camera", f"there is no file {camera_path}, expected a camera_info calibration file")
-
-    def offset_text(led: Section, name: str) -> str:
-        file = path.parent / name
-        if not file.is_file():
-            raise led.error("offset", f"there is no file {file}, expected one that asterism calibrate offset wrote")
-        return read_text(file, "a file that asterism calibrate offset wrote")
-
     camera = load_camera(camera_path)
+    if camera.name == FUSED:  # not where texts are parsed: a recording of what was joined has a rig of that name
+        raise section.error(
+            "camera",
+            f"{camera_path} has camera_name '{FUSED}', which names what asterism fuse publishes; give it another value",
+        )
     texts = read_text(path, "a rig"), read_text(camera_path, "a camera_info calibration file")
-    return _rig(section, camera, *texts, offset_text)
+    rig = _rig(section, camera, *texts, on_disk(path.parent))
+    return replace(rig, files={**rig.files, **beside(path, name)})
 
 
-def parse_rig(rig_text: str, camera_text: str, name: str, offset_texts: Mapping[str, str] | None = None) -> Rig:
-    """A rig from the texts of its files, as a recording keeps them. Raises InputError as `load_rig` does."""
+def parse_rig(
+    rig_text: str,
+    camera_text: str,
+    name: str,
+    offset_texts: Mapping[str, str] | None = None,
+    files: Mapping[str, str] | None = None,
+) -> Rig:
+    """A rig from the texts of its files, as a recording and a server's reply keep them. Raises InputError as `load_rig`
+    does.
+    """
     section = parse_yaml(rig_text, f"{name}: rig.yaml")
-
-    def offset_text(led: Section, file: str) -> str:
-        if offset_texts is None or file not in offset_texts:
-            raise led.error("offset", f"{file} is not at hand, expected it to be kept with the rig")
-        return offset_texts[file]
-
-    return _rig(section, parse_camera(camera_text, f"{name}: camera.yaml"), rig_text, camera_text, offset_text)
+    camera = parse_camera(camera_text, f"{name}: camera.yaml")
+    named = kept({**(files or {}), **(offset_texts or {})}, name)
+    return replace(_rig(section, camera, rig_text, camera_text, named), files=dict(files or {}))
 
 
-def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str, offset_text: _OffsetText) -> Rig:
+def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str, named: Named) -> Rig:
     section.only(RIG_KEYS, RIG_WORDS)
     section.text("camera")
     T_world_camera, follows = _world(section.section("world")) if "world" in section else (None, False)
     if T_world_camera is not None and camera.name == "world":
         raise section.error("world", "the camera's name is 'world' too; give camera_name another value")
-    inner = section.section("robots")
+    inner, robots_name, files = _robots_of(section, named)
     if not inner.values:
-        raise section.error("robots", "is empty, expected at least one robot")
+        raise inner.error(None, "is empty, expected at least one robot")
     capture = read_capture(section.section("capture")) if "capture" in section else Capture()
     try:
         camera = captured(camera, capture)
@@ -156,12 +158,12 @@ def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str, offs
         raise section.error("capture", str(problem)) from None
     offset_texts: dict[str, str] = {}
 
-    def remembered(led: Section, file: str) -> str:
-        if file not in offset_texts:
-            offset_texts[file] = offset_text(led, file)
-        return offset_texts[file]
+    def offset_of(led: Section, name: str) -> LedOffset:
+        path = str(PurePosixPath(robots_name).parent / name) if robots_name else name
+        offset_texts[path], where = named(led, "offset", path, "one that asterism calibrate offset wrote")
+        return parse_offset(offset_texts[path], where)
 
-    robots = tuple(_robot(name, part, T_world_camera, remembered) for name, part in inner.sections().items())
+    robots = tuple(_robot(name, part, T_world_camera, offset_of) for name, part in inner.sections().items())
     if follows and not any(robot.T_world_fixed is not None for robot in robots):
         raise section.section("world").error(
             "follow",
@@ -182,7 +184,23 @@ def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str, offs
         rig_text=rig_text,
         camera_text=camera_text,
         offset_texts=offset_texts,
+        robots_name=robots_name,
+        files=files,
     )
+
+
+def _robots_of(section: Section, named: Named) -> tuple[Section, str, dict[str, str]]:
+    """The robots, and the file that they are in: its name, empty where they stand in the rig itself, and its text."""
+    if not isinstance(section.values.get("robots"), str):
+        return section.section("robots"), "", {}
+    name = section.text("robots")
+    text, where = named(section, "robots", name, "a file of robots that several rigs share")
+    inner = parse_yaml(text, where)
+    if set(inner.values) == {"robots"}:
+        raise inner.error(
+            "robots", "expected the robots' ids at the left margin (alpha: {leds: ...}), without this key"
+        )
+    return inner, name, {name: text}
 
 
 def _range(section: Section) -> tuple[float, float]:
@@ -229,11 +247,13 @@ def _fixed(section: Section, T_world_camera: Pose | None) -> Pose:
     return _pose(section, "x, y, z of the constellation in the world, m")
 
 
-def _robot(name: str, section: Section, T_world_camera: Pose | None, offset_text: _OffsetText) -> Robot:
+def _robot(
+    name: str, section: Section, T_world_camera: Pose | None, offset_of: Callable[[Section, str], LedOffset]
+) -> Robot:
     if problem := key_problem(name):
         raise section.error(None, f"the robot's id {describe(name)} {problem}; it becomes part of a zenoh key")
     section.only(("leds", "led", "points", "normal", "fixed"), ROBOT_WORDS)
-    leds = _leds(section)
+    leds = read_leds(section)
     axis, radius, offset = np.array([0.0, 0.0, 1.0]), None, None
     if "led" in section:
         led = section.section("led")
@@ -249,8 +269,7 @@ def _robot(name: str, section: Section, T_world_camera: Pose | None, offset_text
                     f"that mm? For example {radius / 1e3:g}",
                 )
         if "offset" in led:
-            file = led.text("offset")
-            offset = parse_offset(offset_text(led, file), f"{section.file}: {file}")
+            offset = offset_of(led, led.text("offset"))
     normal = plane_of(leds, axis)[0].rotation[:, 2]
     if normal @ axis < 0.2:
         key = "led.axis" if "led" in section and "axis" in section.section("led") else "leds"
@@ -300,39 +319,6 @@ def _direction(section: Section, key: str, what: str) -> Floats:
         raise section.error(key, "[0, 0, 0] has no direction, expected a vector of any length above 0")
     unit: Floats = vector / length
     return unit
-
-
-def _leds(section: Section) -> Floats:
-    rows = section.rows("leds", 3, "x, y, z in the robot's frame, m")
-    if len(rows) != LEDS:
-        raise section.error("leds", f"{len(rows)} positions, expected {LEDS}")
-    leds = np.array(rows)
-    size = extent(leds)
-    if size > LARGEST_M:
-        raise section.error(
-            "leds",
-            f"the LEDs are up to {size:g} m apart, expected at most {LARGEST_M:g} m; {in_metres(rows[0])}",
-        )
-    spacing = np.linalg.norm(leds[:, None] - leds[None], axis=-1) + np.eye(LEDS) * 1e9
-    first, second = (int(i) for i in np.unravel_index(int(np.argmin(spacing)), spacing.shape))
-    if size == 0.0 or spacing[first, second] < NEAREST_LEDS * size:
-        raise section.error(
-            "leds",
-            f"LEDs {first} and {second} are {spacing[first, second] * 1e3:.3g} mm apart, expected at least "
-            f"{NEAREST_LEDS:.0%} of the constellation's extent ({size * 1e3:.3g} mm)",
-        )
-    centred = leds - leds.mean(axis=0)
-    _, lengths, axes = np.linalg.svd(centred)
-    if lengths[1] < 0.05 * lengths[0]:
-        raise section.error("leds", "the LEDs lie on one line, expected six positions spread over a plane")
-    off = np.abs(centred @ axes[2])
-    if off.max() > COPLANAR * size:
-        raise section.error(
-            "leds",
-            f"LED {int(np.argmax(off))} lies {off.max() * 1e3:.3g} mm off the common plane, expected coplanar LEDs "
-            f"(at most {COPLANAR:.0%} of their extent, {COPLANAR * size * 1e3:.3g} mm)",
-        )
-    return leds
 
 
 def _refuse_lookalikes(section: Section, robots: tuple[Robot, ...]) -> None:

@@ -137,7 +137,7 @@ class CameraRecording:
                     f"its server speaks protocol {told.protocol}, this program knows those up to {PROTOCOL}; update "
                     "asterism-localization here"
                 )
-            rig = parse_rig(told.rig_yaml, told.camera_yaml, f"camera '{self._camera}'", told.offset_yaml)
+            rig = parse_rig(told.rig_yaml, told.camera_yaml, f"camera '{self._camera}'", told.offset_yaml, told.files)
             if rig.camera.name != self._camera:
                 raise InputError(f"who answers for its rig has one of camera '{rig.camera.name[:40]}'")
         except InputError as error:
@@ -161,4 +161,4 @@ class CameraRecording:
 
 
 def _texts(told: "pb.RigReport") -> tuple[object, ...]:
-    return told.rig_yaml, told.camera_yaml, dict(told.offset_yaml)
+    return told.rig_yaml, told.camera_yaml, dict(told.offset_yaml), dict(told.files)

@@ -20,13 +20,12 @@ from asterism.protocol.codec import decode_image
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import FRAME_REPORT, PROTOCOL, STATUS, Kind, Message
 from asterism.protocol.program import typed
-from asterism.protocol.rig import Rig, parse_rig
+from asterism.protocol.rig import Rig
 from asterism.recordings.records import MAGIC, Damaged, read_metadata
 from asterism.recordings.summary_check import check_index, read_at
-from asterism.recordings.told import METADATA, OFFSET_KEY, is_sound
+from asterism.recordings.told import METADATA, RIG, is_sound, rig_files, rig_told
 from asterism.recordings.walk import Gap, opened, walk
 
-RIG = "rig.yaml"
 RATE_FRAMES = 50  # whose spacing tells the rate
 
 
@@ -65,29 +64,20 @@ class Recording:
 
     def rig(self) -> Rig:
         """The rig that was in force when it began. Raises InputError if the recording does not hold it."""
-        return self._rig(self.metadata)
+        return rig_told(self.metadata, str(self.path))
 
     def rigs(self) -> list[tuple[int, Rig]]:
         """Every rig that was in force, with the number of the first frame that was solved with it: a server reads its
         rig again when it is told to. Raises InputError like `rig`.
         """
-        rigs, told = [(0, self.rig())], _rig_files(self.metadata)
+        rigs, told = [(0, self.rig())], rig_files(self.metadata)
         for file in self._poses[1:]:
             metadata = self._metadata_of(file) or {}
-            if RIG in metadata and _rig_files(metadata) != told:
-                told = _rig_files(metadata)
+            if RIG in metadata and rig_files(metadata) != told:
+                told = rig_files(metadata)
                 reports = (message for message in self._messages(file) if message.kind.schema == FRAME_REPORT.schema)
-                rigs += [(first.sequence, self._rig(metadata)) for first in islice(reports, 1)]
+                rigs += [(first.sequence, rig_told(metadata, str(self.path))) for first in islice(reports, 1)]
         return rigs
-
-    def _rig(self, metadata: dict[str, str]) -> Rig:
-        try:
-            offsets = {
-                key.removeprefix(OFFSET_KEY): text for key, text in metadata.items() if key.startswith(OFFSET_KEY)
-            }
-            return parse_rig(metadata[RIG], metadata["camera.yaml"], str(self.path), offsets)
-        except KeyError as missing:
-            raise InputError(f"{self.path}: holds no {missing}; it was not recorded by asterism") from None
 
     def messages(self) -> Iterator[Message]:
         """Everything but the images, as it was written."""
@@ -181,11 +171,6 @@ class Recording:
                     kind = Kind(schema.name if schema else "", channel.metadata.get("on_wire") == "yes")
                     payload = bytes(told.data)
                     yield Message(channel.topic, kind, payload, told.log_ns, told.publish_ns, told.sequence)
-
-
-def _rig_files(metadata: dict[str, str]) -> dict[str, str]:
-    """What a rig is made of."""
-    return {key: text for key, text in metadata.items() if key.endswith(".yaml") or key.startswith(OFFSET_KEY)}
 
 
 def _ends_as_mcap(stream: BinaryIO) -> bool:

@@ -31,7 +31,7 @@ from asterism.recordings.packing import PLAIN, ZSTD, ZSTD_AND_CRC
 from asterism.recordings.room import Room
 from asterism.recordings.series import Series
 from asterism.recordings.spots import Spots, SpotWindows
-from asterism.recordings.told import OFFSET_KEY
+from asterism.recordings.told import rig_metadata
 from asterism.recordings.viewers import Viewers, first_messages
 
 _LOG = logging.getLogger(__name__)
@@ -65,13 +65,21 @@ class Recorder:
 
     ``wait``: `write` waits for room (files) instead of leaving out (live cameras). ``limit_bytes``: the oldest frames
     files are deleted where the recording would become larger; poses stay. Raises WorldError when the folder cannot be
-    made.
+    made. ``timed``: what was written is brought to the file twice a second; otherwise the same messages make the same
+    files, to the byte, but for when they were begun.
 
     ``problem`` says, in a sentence, what is not recorded at the moment, and after `close` what was not.
     """
 
     def __init__(
-        self, parent: Path, rig: Rig, source: str, kept: FramesKept, wait: bool, limit_bytes: int | None = None
+        self,
+        parent: Path,
+        rig: Rig,
+        source: str,
+        kept: FramesKept,
+        wait: bool,
+        limit_bytes: int | None = None,
+        timed: bool = True,
     ) -> None:
         started = datetime.now(UTC)
         self.folder = _new_folder(parent, f"{rig.camera.name}-{started:%Y%m%dT%H%M%SZ}")
@@ -83,6 +91,7 @@ class Recorder:
         self._kept = kept
         self._viewers = Viewers(rig)
         self._wait = wait
+        self._timed = timed
         self._limit = limit_bytes
         self._room = Room(self.folder)
         self._failed: tuple[str, float] | None = None  # why nothing can be written, and when that was tried last
@@ -97,9 +106,9 @@ class Recorder:
             "protocol": str(PROTOCOL),
             "version": __version__,
             "source": source,
-            "started": started.isoformat(),
+            "started": started.isoformat(timespec="microseconds"),
         }
-        metadata = self._run_metadata | _rig_metadata(rig)
+        metadata = self._run_metadata | rig_metadata(rig)
         self._poses = Series(
             self.folder, "poses", ZSTD_AND_CRC, POSES_SPLIT_BYTES, metadata, lambda: first_messages(self._rig)
         )
@@ -173,7 +182,8 @@ class Recorder:
                 self._lost[0] += item.image is not None
                 self._stop(OSError(0, f"a fault of the program: {error!r}"))
             if time.monotonic() - flushed >= FLUSH_S:
-                self._flush()
+                if self._timed:
+                    self._flush()
                 flushed = time.monotonic()
 
     def _record(self, item: _Item) -> None:
@@ -207,7 +217,7 @@ class Recorder:
 
     def _change_rig(self, rig: Rig) -> None:
         self._rig, self._viewers = rig, Viewers(rig)
-        metadata = self._run_metadata | _rig_metadata(rig)
+        metadata = self._run_metadata | rig_metadata(rig)
         for series, stop in ((self._poses, self._stop), (self._frames, self._stop_frames)):
             try:
                 series.begin_anew(metadata)
@@ -314,16 +324,6 @@ class Recorder:
             "messages_left_out": str(self.messages_left_out),
             "frames_deleted": str(self.frames_deleted),
         }
-
-
-def _rig_metadata(rig: Rig) -> dict[str, str]:
-    return {
-        "camera": rig.camera.name,
-        "frame_id": rig.parent_frame,
-        "rig.yaml": rig.rig_text,
-        "camera.yaml": rig.camera_text,
-        **{f"{OFFSET_KEY}{name}": text for name, text in rig.offset_texts.items()},
-    }
 
 
 def _new_folder(parent: Path, name: str) -> Path:

@@ -14,7 +14,7 @@
 #define LONGEST_NS ((int64_t)600 * SECOND_NS) /* from exposure to publishing */
 
 /* The metadata that are read, in the order of KEYS. */
-enum { STATE, LEDS, RMS_PX, SEQUENCE, SESSION, PUBLISHED_NS, SMOOTHED, EXTRAPOLATED, ACCELERATION, TURN, KEYS };
+enum { STATE, LEDS, RMS_PX, SEQUENCE, SESSION, PUBLISHED_NS, SMOOTHED, EXTRAPOLATED, ACCELERATION, TURN, CAMERAS, KEYS };
 enum { NEEDED = SEQUENCE + 1 };
 
 typedef struct {
@@ -80,8 +80,9 @@ static bool is(asterism_span text, const char *word) {
 }
 
 static void keep(asterism_span key, asterism_span value, reading *to) {
-    static const char *const keys[KEYS] = {"state",    "leds",         "rms_px",       "sequence",         "session",
-                                           "published_ns", "smoothed", "extrapolated", "acceleration", "turn_acceleration"};
+    static const char *const keys[KEYS] = {"state",        "leds",     "rms_px",       "sequence",     "session",
+                                           "published_ns", "smoothed", "extrapolated", "acceleration", "turn_acceleration",
+                                           "cameras"};
     for (int k = 0; k < KEYS; k++) {
         if (!is(key, keys[k])) continue;
         to->values[k] = value;
@@ -174,7 +175,9 @@ static asterism_error read_metadata(reading *from) {
     if (is(from->values[STATE], "TRACKED")) pose->state = ASTERISM_TRACKED;
     if (is(from->values[STATE], "TILT_AMBIGUOUS")) pose->state = ASTERISM_TILT_AMBIGUOUS;
     if (pose->state == 0) return ASTERISM_STATE;
-    if (leds < 4 || leds > 6) return ASTERISM_LEDS;
+    /* Several cameras may each see the same three. */
+    const bool fused = from->there[CAMERAS] && !is(from->values[CAMERAS], "[]");
+    if (leds < (fused ? 3u : 4u) || leds > 6) return ASTERISM_LEDS;
     pose->leds = (uint8_t)leds;
     pose->smoothed = is(from->values[SMOOTHED], "true");
     pose->extrapolated = is(from->values[EXTRAPOLATED], "true");

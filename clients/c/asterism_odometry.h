@@ -35,7 +35,7 @@ typedef struct {
     char frame_id[ASTERISM_LONGEST_NAME + 1];      /* "world", or the camera's name */
     char robot[ASTERISM_LONGEST_NAME + 1];
     uint8_t state;     /* ASTERISM_TRACKED or ASTERISM_TILT_AMBIGUOUS */
-    uint8_t leds;      /* 4 to 6 that it rests on */
+    uint8_t leds;      /* 4 to 6 that it rests on; 3 to 6 where several cameras are joined */
     bool smoothed;     /* joined with the frames before */
     bool extrapolated; /* the rig corrects Z, and no surveyed pose was near */
     bool has_velocity;

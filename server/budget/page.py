@@ -9,10 +9,11 @@ import numpy as np
 from asterism import __version__
 from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import Rig
+from asterism.protocol.rig_files import UNCERTAINTY
 from asterism.server.budget.budget import COMPONENTS, LEAST_TILT, SOURCES, Light
 from asterism.server.budget.plots import SCALES, UNITS, Plot
 from asterism.server.budget.truth import Bin, Compared
-from asterism.server.budget.uncertainty import FILE, Uncertainty
+from asterism.server.budget.uncertainty import Uncertainty
 from asterism.server.budget.workspace import Budget
 
 _PHONE = "(max-width: 640px)"
@@ -68,7 +69,7 @@ def page(
         "in the world is not part of it.</p>",
         "<h2>What is not known exactly</h2>",
         _sources(uncertainty, light, rig),
-        f"<p>Assumed numbers are replaced by those in a file <code>{FILE}</code> beside the rig.</p>",
+        f"<p>Assumed numbers are replaced by those in a file <code>{UNCERTAINTY}</code> beside the rig.</p>",
         "<h2>Near, in the middle, far</h2>",
         *(_table(budget, row) for row in (0, len(budget.distances) // 2, len(budget.distances) - 1)),
         pictures["shares.png"],

@@ -14,6 +14,7 @@ distortion_relative: 0.01    # lens distortion, as a share of it
 robots:                      # of single robots, by the calibration that measured them; the others have led_position_m
   # among one another; the size of all six, as a share; for `calibrate world` the frame against the plate, m and rad
   alpha: {led_position_m: 3e-6, size_relative: 1e-3, frame_m: 1e-4, tilt_rad: 1e-3, turn_rad: 5e-3, by: calibrate leds}
+world: {position_m: 0.0005, orientation_rad: 0.0003, by: a tape}   # where the camera is (`protocol.place_error`)
 ```
 
 Every key may be left out; then the lens is as sure as its calibration was, if its report (`calibrate camera`,
@@ -26,10 +27,11 @@ from pathlib import Path
 from typing import Any
 
 from asterism.protocol.camera import Camera, load_camera
+from asterism.protocol.place_error import WORLD, read_place_error
+from asterism.protocol.rig_files import file_of
 from asterism.protocol.yaml_file import Section, read_yaml
 from asterism.server.calibration.lens.lens_error import LensError, assumed_lens_error, read_lens_error, shares_of
 
-FILE = "uncertainty.yaml"
 # By estimator of centres, rounded up from tests/measure/centres.py: noise over the Cramer-Rao bound, bias px.
 ESTIMATOR_NOISE = {"edge-model": 1.03, "grey-square": 1.5, "clip": 1.2, "zernike": 2.0}
 ESTIMATOR_BIAS_PX = {"edge-model": 0.001, "grey-square": 0.003, "clip": 0.002, "zernike": 0.02}
@@ -88,16 +90,6 @@ KEYS = tuple(each.name for each in fields(Uncertainty) if each.name not in _NO_K
 LENS_KEYS = ("focal_relative", "principal_point_px", "distortion_relative")
 
 
-def own_path(rig_path: Path) -> Path:
-    """The file of this rig alone."""
-    return rig_path.with_name(f"{rig_path.stem}.{FILE}")
-
-
-def file_of(rig_path: Path) -> Path | None:
-    """The file that holds for a rig, if there is one."""
-    return next((path for path in (own_path(rig_path), rig_path.parent / FILE) if path.exists()), None)
-
-
 def read_uncertainty(rig_path: Path, centre: str, camera_path: Path | None = None) -> Uncertainty:
     """What the file of a rig gives, or the report beside the camera's file tells, the rest assumed.
 
@@ -110,7 +102,9 @@ def read_uncertainty(rig_path: Path, centre: str, camera_path: Path | None = Non
     if path is None:
         return assumed
     section = read_yaml(path)
-    section.only((*KEYS, "robots"))
+    section.only((*KEYS, "robots", WORLD))
+    if WORLD in section:
+        read_place_error(section.section(WORLD))  # of poses in the camera's frame, which a budget is of, it is no part
     given = {key: section.number(key, least=0.0) for key in KEYS if key in section}
     measured = {key: by for key, by in assumed.measured.items() if key not in given}
     robots = section.section("robots").sections() if "robots" in section else {}

@@ -8,8 +8,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from asterism.protocol.errors import InputError
+from asterism.protocol.place_error import WORLD, PlaceError
+from asterism.protocol.rig_files import UNCERTAINTY, file_of, own_path
 from asterism.protocol.yaml_file import parse_yaml
-from asterism.server.budget.uncertainty import FILE, LENS_KEYS, LedError, file_of, own_path
+from asterism.server.budget.uncertainty import LENS_KEYS, LedError
 from asterism.server.calibration.result_file import check_result_file, set_aside, write_result_file
 from asterism.server.calibration.rewrite import Value, rewrite, without
 
@@ -22,19 +24,27 @@ def check_uncertainty_file(rig_out: Path, force: bool) -> None:
 
 
 def write_uncertainty_file(
-    rig: Path, rig_out: Path, robots: Mapping[str, LedError], force: bool, new_lens: bool = False
+    rig: Path,
+    rig_out: Path,
+    robots: Mapping[str, LedError],
+    force: bool,
+    new_lens: bool = False,
+    world: PlaceError | None = None,
 ) -> list[str]:
-    """Write what holds for ``rig_out``, made from ``rig``, with what was measured of its ``robots``; ``new_lens``: its
-    lens has a report of its own. Returns what to tell.
+    """Write what holds for ``rig_out``, made from ``rig``, with what was measured of its ``robots`` and of where its
+    camera is in the ``world``; ``new_lens``: its lens has a report of its own, and where its camera is was found with
+    another. Returns what to tell.
 
     Raises InputError, WorldError as `write_result_file` does.
     """
     before, out = file_of(rig), own_path(rig_out)
-    if not robots and not new_lens and (before is None or before == rig_out.parent / FILE):
+    if not robots and not new_lens and world is None and (before is None or before == rig_out.parent / UNCERTAINTY):
         old = set_aside(out)
         return [f"{out} was of an older {rig_out.name}: kept as {old}"] if old else []
     text = before.read_text(encoding="utf-8") if before else ""
     text, dropped = _without_lens(text, str(before)) if new_lens else (text, [])
+    if world is not None:
+        text = _with_world(text, world, str(before or out))
     text = _titled(_with_robots(text, robots, str(before or out)), rig_out.name)
     kept = write_result_file(out, text, force)
     told = [f"written: {out}, what is not known exactly, for asterism report" + (f"; old: {kept}" if kept else "")]
@@ -44,10 +54,21 @@ def write_uncertainty_file(
 
 
 def _without_lens(text: str, name: str) -> tuple[str, list[str]]:
-    present = [key for key in LENS_KEYS if key in _keys(text, name)]
+    present = [key for key in (*LENS_KEYS, WORLD) if key in _keys(text, name)]
     for key in present:
         text = without(text, key)
     return text, present
+
+
+def _with_world(text: str, world: PlaceError, name: str) -> str:
+    if WORLD in _keys(text, name):
+        text = without(text, WORLD)
+    rows = "".join(f"    - [{', '.join(f'{value:.9g}' for value in row)}]\n" for row in world.covariance.tolist())
+    return (
+        text
+        + "\n" * (text != "" and not text.endswith("\n"))
+        + f"{WORLD}:\n  by: {world.by}\n  covariance:   # x, y, z m, rotation about x, y, z of the world rad\n{rows}"
+    )
 
 
 def _with_robots(text: str, robots: Mapping[str, LedError], name: str) -> str:
@@ -74,7 +95,9 @@ def _keys(text: str, name: str) -> set[str]:
 def _titled(text: str, rig_name: str) -> str:
     if text.startswith(_TITLE):
         text = text.partition("\n")[2]
-    return f"{_TITLE}{rig_name}, one standard deviation each; asterism report reads it in place of {FILE}.\n{text}"
+    return (
+        f"{_TITLE}{rig_name}, one standard deviation each; asterism report reads it in place of {UNCERTAINTY}.\n{text}"
+    )
 
 
 def _short(value: float) -> float:

@@ -59,15 +59,25 @@ def annotate(text: str, path: tuple[str, ...], tag: str, comments: Sequence[str]
 
 
 def relocate(text: str, old: Path, new: Path) -> str:
-    """The rig's ``text``, written at ``old``, for the place ``new``: relative paths (`camera`, every robot's
-    `led.offset`) lead to the same files.
+    """The rig's ``text``, written at ``old``, for the place ``new``: relative paths (`camera`, `robots` of a file,
+    every robot's `led.offset`) lead to the same files.
     """
+    root = _compose(text)
+    offsets = [("robots", robot, "led", "offset") for robot in _keys(root, ("robots",))]
+    return _relocated(text, old, new, [("camera",), ("robots",), *offsets])
+
+
+def relocate_robots(text: str, old: Path, new: Path) -> str:
+    """The same for a file of robots that rigs share."""
+    return _relocated(text, old, new, [(robot, "led", "offset") for robot in _keys(_compose(text), ())])
+
+
+def _relocated(text: str, old: Path, new: Path, paths: Sequence[tuple[str, ...]]) -> str:
     before, after = old.parent.resolve(), new.parent.resolve()
     if before == after:
         return text
     root = _compose(text)
     changes: dict[tuple[str, ...], Value] = {}
-    paths = [("camera",), *(("robots", robot, "led", "offset") for robot in _keys(root, ("robots",)))]
     for path in paths:
         node = _find(root, path)
         if node is not None and isinstance(node.value, str) and not Path(node.value).is_absolute():

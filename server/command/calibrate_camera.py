@@ -13,10 +13,11 @@ from rich.table import Table
 from asterism.protocol.camera import parse_camera
 from asterism.protocol.errors import InputError
 from asterism.protocol.keys import key_problem
+from asterism.protocol.rig_files import report_path
 from asterism.server.calibration.lens.board_points import Seen, find_points
 from asterism.server.calibration.lens.bundle import View
 from asterism.server.calibration.lens.calibration import calibrate_camera, implausible, refuse_too_few
-from asterism.server.calibration.lens.camera_file import camera_text, report_path, report_text
+from asterism.server.calibration.lens.camera_file import camera_text, report_text
 from asterism.server.calibration.lens.coverage import COLUMNS, ROWS, empty_parts, missing, points_by_cell, signature
 from asterism.server.calibration.lens.fit import CameraFit, ends_inside
 from asterism.server.calibration.lens.plots import coverage_png, residuals_png

@@ -12,7 +12,7 @@ from rich.table import Table
 from asterism.protocol.constellation import LEDS
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats
-from asterism.protocol.rig import load_rig, parse_rig
+from asterism.protocol.rig import load_rig
 from asterism.server.budget.uncertainty import LedError
 from asterism.server.budget.uncertainty_file import check_uncertainty_file, write_uncertainty_file
 from asterism.server.calibration.leds.bundle import Adjusted
@@ -25,8 +25,8 @@ from asterism.server.calibration.leds.calibration import (
     tilt_spread_deg,
 )
 from asterism.server.calibration.leds.gauge import Gauge
-from asterism.server.calibration.result_file import check_result_file, write_result_file
-from asterism.server.calibration.rewrite import annotate, relocate, rewrite
+from asterism.server.calibration.result_file import check_result_file
+from asterism.server.calibration.rig_texts import RigTexts, check_rig_files, told_of
 from asterism.server.chain.frame import Frame
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.calibrate import add_source_and_out
@@ -86,6 +86,7 @@ def run(options: argparse.Namespace) -> int:
     check_uncertainty_file(options.out, options.force)
     refuse_endless(options.source, "calibrate leds")
     rig = fitting(options.source, load_rig(options.rig), say, options.topic)
+    check_rig_files(rig, options.out, options.force)
     ids = [robot.id for robot in rig.robots]
     if options.robot not in ids:
         raise InputError(f"--robot {options.robot}: is not in {options.rig}, expected one of {', '.join(ids)}")
@@ -108,15 +109,16 @@ def run(options: argparse.Namespace) -> int:
         found = calibrate_leds(rig, options.robot, frames, options.source, gauge)
     adjusted, normal = found.adjusted, robot.T_robot_plane.rotation[:, 2]
     leds = adjusted.leds.round(DECIMALS) + 0.0
-    text = rewrite(rig.rig_text, {("robots", options.robot, "leds"): leds.tolist()}, options.rig)
-    text = annotate(text, ("robots", options.robot, "leds"), TAG, _comments(adjusted, gauge, normal))
-    parse_rig(text, rig.camera_text, str(options.out), rig.offset_texts)
-    text = relocate(text, Path(options.rig), options.out)
-    kept = write_result_file(options.out, text, options.force)
+    place = ("robots", options.robot, "leds")
+    texts = RigTexts.of(rig, options.rig).rewritten({place: leds.tolist()})
+    texts = texts.annotated(place, TAG, _comments(adjusted, gauge, normal))
+    texts.check(rig.camera_text, options.out)
+    written = texts.write(options.out, options.force)
     _tell(found, moved_by(adjusted.leds, robot.leds), tilt_spread_deg(robot, adjusted.views))
     for line in _relative_to(adjusted, gauge, normal):
         print(line)
-    print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else ""))
+    for line in told_of(written, rig):
+        print(line)
     frame = gauge.frame_sigmas(*given_sigmas(adjusted.leds, gauge.given, normal), normal)
     known = LedError(shape_sigma(adjusted), DISTANCE_SIGMA_M / options.distance[2], "calibrate leds", *frame)
     for line in write_uncertainty_file(Path(options.rig), options.out, {options.robot: known}, options.force):

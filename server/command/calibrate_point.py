@@ -12,7 +12,7 @@ from rich.table import Table
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats
 from asterism.protocol.keys import key_problem
-from asterism.protocol.rig import Rig, load_rig, parse_rig
+from asterism.protocol.rig import Rig, load_rig
 from asterism.protocol.yaml_file import parse_yaml
 from asterism.server.budget.budget import Poses
 from asterism.server.budget.common_causes import common_causes, led_shapes
@@ -21,8 +21,8 @@ from asterism.server.budget.uncertainty_file import check_uncertainty_file, writ
 from asterism.server.calibration.leds.observations import Sighting, observe
 from asterism.server.calibration.lens.lens_error import LensError
 from asterism.server.calibration.point.calibration import Known, PointCalibration, calibrate_point
-from asterism.server.calibration.result_file import check_result_file, write_result_file
-from asterism.server.calibration.rewrite import annotate, relocate, rewrite
+from asterism.server.calibration.result_file import check_result_file
+from asterism.server.calibration.rig_texts import RigTexts, check_rig_files, told_of
 from asterism.server.calibration.survey.world import without_world
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.calibrate import add_source_and_out
@@ -51,8 +51,9 @@ def run(options: argparse.Namespace) -> int:
     check_uncertainty_file(options.out, options.force)
     refuse_endless(options.source, "calibrate point")
     rig = load_rig(options.rig)
+    check_rig_files(rig, options.out, options.force)
     path = _path(options, rig)
-    rewrite(rig.rig_text, {path: [0.0, 0.0, 0.0]}, options.rig)  # whether it can be, before the work
+    RigTexts.of(rig, options.rig).rewritten({path: [0.0, 0.0, 0.0]})  # whether it can be, before the work
     rig, source = open_fitting(options.source, rig, say, options.topic)
     camera_path = Path(options.rig).parent / parse_yaml(rig.rig_text, options.rig).text("camera")
     uncertainty = read_uncertainty(Path(options.rig), rig.centre, camera_path)
@@ -66,16 +67,16 @@ def run(options: argparse.Namespace) -> int:
     with working("fitting the point"):
         found = _fitted(alone, options, sightings, uncertainty, lens)
     point = found.point.round(DECIMALS) + 0.0
-    text = rewrite(rig.rig_text, {path: point.tolist()}, options.rig)
-    text = annotate(text, path, f"{TAG} {options.name}", [_comment(found)])
-    parse_rig(text, rig.camera_text, str(options.out), rig.offset_texts)
-    text = relocate(text, Path(options.rig), options.out)
-    kept = write_result_file(options.out, text, options.force)
+    texts = RigTexts.of(rig, options.rig).rewritten({path: point.tolist()})
+    texts = texts.annotated(path, f"{TAG} {options.name}", [_comment(found)])
+    texts.check(rig.camera_text, options.out)
+    written = texts.write(options.out, options.force)
     old = rig.robot(options.robot).points.get(options.name)
     _tell(found, options, frames, old, _shares(found, uncertainty, options.robot, lens))
     for line in _warnings(found, options.robot):
         say(line)
-    print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else ""))
+    for line in told_of(written, rig):
+        print(line)
     for line in write_uncertainty_file(Path(options.rig), options.out, {}, options.force):
         print(line)
     return 0

@@ -9,18 +9,20 @@ from rich.table import Table
 
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose
-from asterism.protocol.rig import Rig, load_rig, parse_rig
+from asterism.protocol.place_error import PlaceError
+from asterism.protocol.rig import Rig, load_rig
+from asterism.protocol.rig_files import report_path
 from asterism.protocol.yaml_file import parse_yaml
 from asterism.server.budget.uncertainty import Uncertainty, lens_error_of, read_uncertainty
 from asterism.server.budget.uncertainty_file import check_uncertainty_file, write_uncertainty_file
 from asterism.server.calibration.leds.observations import observe
 from asterism.server.calibration.lens.board_points import find_points
 from asterism.server.calibration.lens.bundle import View
-from asterism.server.calibration.lens.camera_file import report_path
 from asterism.server.calibration.lens.lens_error import LensError
 from asterism.server.calibration.lens.targets import parse_target, refuse_symmetric
-from asterism.server.calibration.result_file import check_result_file, write_result_file
-from asterism.server.calibration.rewrite import Value, relocate, rewrite
+from asterism.server.calibration.result_file import check_result_file
+from asterism.server.calibration.rewrite import Value
+from asterism.server.calibration.rig_texts import RigTexts, told_of
 from asterism.server.calibration.survey.fixed import fit_fixed, standing_of
 from asterism.server.calibration.survey.survey import read_survey
 from asterism.server.calibration.survey.surveyed import pair
@@ -85,12 +87,12 @@ def run(options: argparse.Namespace) -> int:
         changes = {
             ("world", key): value.tolist() for key, value in (("position", position), ("orientation", orientation))
         }
-    text = rewrite(rig.rig_text, changes, options.rig)
-    parse_rig(text, rig.camera_text, str(options.out), rig.offset_texts)
-    text = relocate(text, Path(options.rig), options.out)
-    kept = write_result_file(options.out, text, options.force)
-    print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else ""))
-    for line in write_uncertainty_file(Path(options.rig), options.out, {}, options.force):
+    texts = RigTexts.of(rig, options.rig).rewritten(changes)
+    texts.check(rig.camera_text, options.out)
+    for line in told_of(texts.write(options.out, options.force), rig):
+        print(line)
+    known = PlaceError(covariance, "calibrate world")
+    for line in write_uncertainty_file(Path(options.rig), options.out, {}, options.force, world=known):
         print(line)
     return 0
 

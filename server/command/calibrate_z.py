@@ -11,7 +11,8 @@ from rich.table import Table
 from asterism.protocol.camera import parse_camera
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, angle_between
-from asterism.protocol.rig import Rig, Robot, load_rig, parse_rig
+from asterism.protocol.rig import Rig, Robot, load_rig
+from asterism.protocol.rig_files import report_path
 from asterism.protocol.sensor_part import whole_of
 from asterism.protocol.yaml_file import parse_yaml
 from asterism.protocol.z_correction import ZCorrection
@@ -19,9 +20,10 @@ from asterism.server.budget.uncertainty import LedError
 from asterism.server.budget.uncertainty_file import check_uncertainty_file, write_uncertainty_file
 from asterism.server.calibration.leds.labelled import solve_sightings
 from asterism.server.calibration.leds.observations import observe
-from asterism.server.calibration.lens.camera_file import refit_report_text, report_path
+from asterism.server.calibration.lens.camera_file import refit_report_text
 from asterism.server.calibration.result_file import check_result_file, write_result_file
-from asterism.server.calibration.rewrite import Value, number, relocate, rewrite, without
+from asterism.server.calibration.rewrite import Value, number, rewrite, without
+from asterism.server.calibration.rig_texts import RigTexts, check_rig_files, told_of
 from asterism.server.calibration.survey.refit import Refit, refit
 from asterism.server.calibration.survey.super_plane import LEAST_GAIN, SuperPlane, choose_plane
 from asterism.server.calibration.survey.survey import read_survey
@@ -64,6 +66,7 @@ def run(options: argparse.Namespace) -> int:
     check_uncertainty_file(options.out, options.force)
     refuse_endless(options.source, "calibrate z")
     given, source = open_fitting(options.source, load_rig(options.rig), say, options.topic)
+    check_rig_files(given, options.out, options.force)
     rig = replace(given, z_correction=None)
     survey = read_survey(options.truth, [robot.id for robot in rig.robots])
     warm_up(*localizing(rig))
@@ -86,14 +89,13 @@ def run(options: argparse.Namespace) -> int:
     correction = plane.correction if plane is not None else None
     _tell(found, rig, options.no_refit, plane, used)
 
-    text = _rig_text(given, new, [robot for robot in rig.robots if _seen(robot.id, used)] if kept else [], options.rig)
-    text = with_correction(text, correction, len(used))
+    seen_robots = [robot for robot in rig.robots if _seen(robot.id, used)] if kept else []
+    texts = RigTexts.of(given, options.rig).rewritten(_changes(new, seen_robots))
+    texts = replace(texts, text=with_correction(texts.text, correction, len(used)))
     camera_text = refitted_text(rig, new) if kept else rig.camera_text
-    parse_rig(text, camera_text, str(options.out), rig.offset_texts)
-    text = relocate(text, Path(options.rig), options.out)
+    texts.check(camera_text, options.out)
     olds, beside = [], []
     if kept:
-        text = rewrite(text, {("camera",): camera_out.name}, str(options.out))
         beside = [camera_out, report_path(camera_out)]
         written = parse_camera(camera_text, str(camera_out))
         # Of a part of the sensor to all of it: as much larger as its pixels are.
@@ -104,8 +106,11 @@ def run(options: argparse.Namespace) -> int:
             write_result_file(path, each, options.force)
             for path, each in zip(beside, (camera_text, report), strict=True)
         ]
-    olds.append(write_result_file(options.out, text, options.force))
+    written_rig = texts.write(options.out, options.force, camera_out if kept else None)
+    olds += [old for _, old in written_rig]
     print(f"written: {', '.join(str(path) for path in (options.out, *beside))}")
+    for line in told_of(written_rig, rig)[1:]:
+        print(line)
     known = {robot: LedError(sigma, 0.0, "calibrate z") for robot, sigma in found.led_sigmas.items()} if kept else {}
     for line in write_uncertainty_file(Path(options.rig), options.out, known, options.force, new_lens=kept):
         print(line)
@@ -149,7 +154,7 @@ def _seen(robot: str, pairs: Pairs) -> bool:
     return any(sighting.robot == robot for sighting, _ in pairs)
 
 
-def _rig_text(given: Rig, new: Rig, robots: list[Robot], name: str) -> str:
+def _changes(new: Rig, robots: list[Robot]) -> dict[tuple[str, ...], Value]:
     changes: dict[tuple[str, ...], Value] = {
         ("robots", robot.id, "leds"): (new.robot(robot.id).leds.round(7) + 0.0).tolist() for robot in robots
     }
@@ -159,7 +164,7 @@ def _rig_text(given: Rig, new: Rig, robots: list[Robot], name: str) -> str:
             "position": (world.position.round(7) + 0.0).tolist(),
             "orientation": (world.orientation.round(9) + 0.0).tolist(),
         }
-    return rewrite(given.rig_text, changes, name)
+    return changes
 
 
 def refitted_text(rig: Rig, new: Rig) -> str:

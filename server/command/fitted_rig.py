@@ -43,7 +43,7 @@ def fitting(text: str, rig: Rig, say: Say, topic: str | None = None) -> Rig:
         f"region, capture: {{size: [{size[0]}, {size[1]}], offset: [x, y]}}"
     )
     text_of_it = rewrite(rig.rig_text, {("capture", "binning"): binning}, "rig")
-    fitted = parse_rig(text_of_it, rig.camera_text, "rig", rig.offset_texts)
+    fitted = parse_rig(text_of_it, rig.camera_text, "rig", rig.offset_texts, rig.files)
     capture = replace(rig.capture, binning=binning)
     return replace(rig, camera=fitted.camera, capture=capture, rig_text=text_of_it)
 

@@ -5,7 +5,8 @@ import argparse
 from asterism.protocol.camera import parse_camera
 from asterism.protocol.errors import InputError
 from asterism.protocol.keys import key_problem
-from asterism.server.calibration.lens.camera_file import camera_text, report_path
+from asterism.protocol.rig_files import report_path
+from asterism.server.calibration.lens.camera_file import camera_text
 from asterism.server.calibration.lens.foreign_camera import read_foreign_camera
 from asterism.server.calibration.result_file import check_result_file, set_aside, write_result_file
 

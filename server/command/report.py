@@ -9,12 +9,13 @@ from rich.table import Table
 
 from asterism.protocol.errors import InputError
 from asterism.protocol.rig import Rig, load_rig
+from asterism.protocol.rig_files import UNCERTAINTY, own_path
 from asterism.protocol.yaml_file import parse_yaml
 from asterism.server.budget.budget import SOURCES, Light
 from asterism.server.budget.page import assumptions, page
 from asterism.server.budget.plots import plots_of
 from asterism.server.budget.truth import Bin, Compared, bins_of, compare, light_of
-from asterism.server.budget.uncertainty import FILE, Uncertainty, own_path, read_uncertainty
+from asterism.server.budget.uncertainty import Uncertainty, read_uncertainty
 from asterism.server.budget.workspace import Budget, budget_of
 from asterism.server.calibration.leds.observations import observe
 from asterism.server.calibration.survey.survey import match_frames, read_survey
@@ -96,11 +97,11 @@ def _compare(rig: Rig, truth: Path, source: Source, uncertainty: Uncertainty, li
 
 def _known(rig: Rig, rig_name: str, uncertainty: Uncertainty, light: Light) -> Table:
     """What is taken for one standard deviation of every source, and who says so: nobody, a person, a calibration."""
-    own, shared = own_path(Path(rig_name)), Path(rig_name).parent / FILE
+    own, shared = own_path(Path(rig_name)), Path(rig_name).parent / UNCERTAINTY
     unread = uncertainty.file == own and shared.exists()
-    where = f"by {uncertainty.file}" if uncertainty.file else f"neither {own.name} nor {FILE} is beside the rig"
+    where = f"by {uncertainty.file}" if uncertainty.file else f"neither {own.name} nor {UNCERTAINTY} is beside the rig"
     table = Table(
-        title=f"what is not known exactly ({where}{f', {FILE} is not read' if unread else ''})",
+        title=f"what is not known exactly ({where}{f', {UNCERTAINTY} is not read' if unread else ''})",
         box=None,
         header_style="bold",
         padding=(0, 1),

@@ -90,7 +90,7 @@ def add_out(part: argparse.ArgumentParser, metavar: str, what: str, required: bo
     add_force(part)
 
 
-def add_force(part: argparse.ArgumentParser) -> None:
+def add_force(part: "argparse._ActionsContainer") -> None:
     """Whether a command may replace what is there."""
     part.add_argument("--force", action="store_true", help="replace what is there, keeping the old one as NAME.old-1")
 

@@ -100,10 +100,11 @@ class WorldTruth(ExitStack):
 def named_files(rig_path: Path, rig: Rig) -> dict[str, str]:
     """The files that the rig names, by the names it gives them, relative to the rig's copy."""
     camera = parse_yaml(rig.rig_text, str(rig_path)).text("camera")
-    files = {camera: rig.camera_text, **rig.offset_texts}
+    robots = {rig.robots_name: rig.files[rig.robots_name]} if rig.robots_name else {}
+    files = {camera: rig.camera_text, **robots, **rig.offset_texts}
     for name in files:
         if Path(name).is_absolute() or ".." in Path(name).parts:
-            key = "camera" if name == camera else "led.offset"
+            key = "camera" if name == camera else "robots" if name in robots else "led.offset"
             raise InputError(f"{rig_path}: {key}: {name}, expected a file beside the rig to copy it")
     return files
 

@@ -15,7 +15,7 @@ import numpy as np
 from asterism.protocol.constellation import LEDS
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig
-from asterism.server.calibration.lens.camera_file import report_path
+from asterism.protocol.rig_files import report_path
 from asterism.server.calibration.lens.values import pixels_by_lens
 from asterism.server.doctor.finding import Finding, Verdict
 from asterism.server.doctor.gather import Gathered, Sightings

@@ -120,6 +120,7 @@ TAKEN = {
     "a key that nobody knows": metadata("colour", "red"),
     "told in another session": metadata("session", "7"),
     "a number that is bad and then good": metadata("leds", "x") + metadata("leds", "5")[len(GOOD) :],
+    "three LEDs of several cameras": metadata("leds", "3") + metadata("cameras", '["left","right"]')[len(GOOD) :],
     "a part of the position once more": GOOD + position(y=9.0),
     "a tag of more bytes than it needs": GOOD + b"\x92\x80\x80\x80\x00\x03cam",
     "a length of more bytes than it needs": GOOD + b"\x12\x83\x80\x00cam",
@@ -196,6 +197,7 @@ REFUSED = [
     ("has a state", metadata("state", "LOST")),
     ("has a state", metadata("state", "TRACKED ")),
     ("rests on", metadata("leds", "3")),
+    ("rests on", metadata("leds", "3") + metadata("cameras", "[]")[len(GOOD) :]),
     ("rests on", metadata("leds", "260")),  # 4 in eight bits
     *(("has a position", of(f"pose.position.{axis}", value)) for axis, value in zip(
         "xyz", (float("nan"), float("inf"), -1.1e9), strict=True)),

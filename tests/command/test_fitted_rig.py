@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from asterism.protocol.errors import InputError
 from asterism.protocol.rig import Rig, load_rig, parse_rig
-from asterism.server.calibration.lens.camera_file import refit_report_text, report_path
+from asterism.protocol.rig_files import report_path
+from asterism.server.calibration.lens.camera_file import refit_report_text
 from asterism.server.calibration.lens.lens_error import read_lens_error
 from asterism.server.chain.pipeline import localize
 from asterism.server.command.calibrate_z import refitted_text
@@ -105,10 +106,10 @@ def test_other_sizes_and_masks_are_refused_with_what_to_write(tmp_path: Path, fi
 def test_what_is_refitted_and_known_of_a_part_is_told_of_the_whole_and_back(tmp_path: Path) -> None:
     rig = load_rig(DEMO_RIG)
     text = rig.rig_text.replace("{rate: 60}", "{binning: 2, size: [500, 400], offset: [100, 60]}")
-    part = parse_rig(text, rig.camera_text, "rig", rig.offset_texts)
+    part = parse_rig(text, rig.camera_text, "rig", rig.offset_texts, rig.files)
     matrix = part.camera.matrix + np.array([[0.7, 0.0, 0.2], [0.0, 0.6, -0.3], [0.0, 0.0, 0.0]])
     refitted = replace(part, camera=replace(part.camera, matrix=matrix))
-    again = parse_rig(text, refitted_text(part, refitted), "rig", rig.offset_texts)
+    again = parse_rig(text, refitted_text(part, refitted), "rig", rig.offset_texts, rig.files)
     np.testing.assert_allclose(again.camera.matrix, matrix, atol=1e-4)
     # The report beside the camera's file is of the whole sensor.
     path, variances = tmp_path / "camera.yaml", np.arange(1.0, 5.0 + len(rig.camera.distortion))

@@ -3,7 +3,6 @@
 import math
 import re
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -13,11 +12,6 @@ from asterism.server.calibration.lens.fit import NAMES, CameraFit
 from asterism.server.calibration.lens.values import values_of
 
 _WORDS = ("true", "false", "null", "yes", "no", "on", "off", "y", "n")  # of YAML, 1.1 too
-
-
-def report_path(camera_path: Path) -> Path:
-    """Where the report of a camera's calibration lies."""
-    return camera_path.with_name(f"{camera_path.stem}.report.yaml")
 
 
 def camera_text(camera: Camera) -> str:

@@ -11,8 +11,8 @@ import numpy as np
 
 from asterism.protocol.camera import Camera, load_camera
 from asterism.protocol.geometry import Floats
+from asterism.protocol.rig_files import report_path
 from asterism.protocol.yaml_file import Section, read_yaml
-from asterism.server.calibration.lens.camera_file import report_path
 from asterism.server.calibration.lens.fit import NAMES
 from asterism.server.calibration.lens.values import camera_of, pixels_by_lens, values_of
 

@@ -148,7 +148,7 @@ def test_the_command_makes_a_file_that_gives_the_surveyed_poses(
         assert angle_between(answer.pose.rotation, last.rotation) < np.radians(0.06)
         assert answer.rms_px < 0.02
     # Whoever only has the texts (a recording) gets the same rig.
-    again = parse_rig(rig.rig_text, rig.camera_text, "recording", rig.offset_texts)
+    again = parse_rig(rig.rig_text, rig.camera_text, "recording", rig.offset_texts, rig.files)
     np.testing.assert_array_equal(optics_of(again.robots[0]), optics_of(rig.robots[0]))
     with pytest.raises(InputError, match=r"led.yaml is not at hand"):
         parse_rig(rig.rig_text, rig.camera_text, "recording")
