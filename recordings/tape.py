@@ -113,7 +113,7 @@ def tapes_of(folders: Sequence[Path]) -> list[Tape]:
     Raises InputError for what is no recording, holds no frame reports, is told of twice, or is damaged; where the time
     of one runs backwards; and where two of one camera overlap.
     """
-    paths = sorted({path.resolve(): path for folder in folders for path in _recordings_in(folder)}.items())
+    paths = sorted({path.resolve(): path for folder in folders for path in recordings_in(folder)}.items())
     parts = sorted((_part(path) for _, path in paths), key=lambda part: (part.camera, part.span, part.recording.path))
     cameras: dict[str, list[Part]] = {}
     for part in parts:
@@ -122,7 +122,7 @@ def tapes_of(folders: Sequence[Path]) -> list[Tape]:
     return [Tape(camera, tuple(each)) for camera, each in cameras.items()]
 
 
-def _recordings_in(folder: Path) -> list[Path]:
+def recordings_in(folder: Path) -> list[Path]:
     """The folder, or those in it where it holds recordings, as `asterism record` makes one for every camera."""
     if not folder.is_dir() or any(folder.glob("*.mcap")):
         return [folder]
@@ -176,4 +176,5 @@ def _reports(recording: Recording) -> "Iterator[tuple[pb.FrameReport, Rig]]":
 def _time(time_ns: int) -> str:
     if time_ns < SINCE_1980_NS:
         return f"{time_ns * 1e-9:.3f} s"
-    return datetime.fromtimestamp(time_ns * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    second = datetime.fromtimestamp(time_ns // 10**9, UTC)
+    return f"{second:%Y-%m-%d %H:%M:%S}.{time_ns // 10**6 % 1000:03d} UTC"

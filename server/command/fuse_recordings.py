@@ -19,7 +19,7 @@ from asterism.server.command.fused_line import FusedTally, fused_line
 from asterism.server.command.lines_output import lines_output
 from asterism.server.command.progress import progress, working
 from asterism.server.fusing.fleet import Fleet
-from asterism.server.fusing.offline import Exposure, fused_offline
+from asterism.server.fusing.offline import Exposure, Watching, fused_offline
 from asterism.server.fusing.report import CAMERA_TEXT, Told, report, rig_text
 from asterism.server.output import check_file, check_folder_of_many
 from asterism.server.service.say import say
@@ -34,15 +34,17 @@ def fuse_recordings(options: argparse.Namespace) -> int:
     with working("reading when frames were taken"):
         tapes = _chosen(tapes_of(options.recordings), options.camera)
     refuse_apart(tapes)
+    watching = Watching()
+    for part in (tape.parts[0] for tape in tapes):
+        watching.take(part.recording.rig(), str(part.recording.path))
     for tape in tapes:
         say(f"{tape.camera}: {tape.frames} frames, {tape.span}")
     if len(tapes) == 1:
         say(f"there is nothing to join: all of it is of one camera, '{tapes[0].camera}'")
-    first = [(part.recording.rig(), str(part.recording.path)) for part in (tape.parts[0] for tape in tapes)]
     encoder, tally = msgspec.json.Encoder(), FusedTally()
     exposures = progress(exposures_of(tapes), None, "fusing")
     with lines_output(options.out, options.force) as out, _recorder(options, tapes) as record:
-        for exposure in fused_offline(first, exposures):
+        for exposure in fused_offline(watching, exposures):
             tally.add(exposure.fused)
             if out is not None:
                 out.write(encoder.encode(fused_line(exposure)) + b"\n")

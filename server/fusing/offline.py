@@ -44,16 +44,14 @@ class Watching:
 
 
 def fused_offline(
-    first: Sequence[tuple[Rig, str]], exposures: "Iterable[Sequence[tuple[str, pb.FrameReport, Rig]]]"
+    watching: Watching, exposures: "Iterable[Sequence[tuple[str, pb.FrameReport, Rig]]]"
 ) -> Iterator[Exposure]:
-    """Every exposure in turn, told by camera, frame report and the rig in force; ``first`` are the rigs of all cameras
-    at the beginning, with where they are from.
+    """Every exposure in turn, told by camera, frame report and the rig in force; ``watching`` has taken the rigs of all
+    cameras at the beginning.
 
     Raises InputError for cameras that do not fit together, and for a report that does not fit its rig.
     """
-    watching, joint = Watching(), Joint.none()
-    for rig, where in first:
-        watching.take(rig, where)
+    joint = Joint.none()
     for exposure in exposures:
         for camera, _, rig in exposure:
             watching.take(rig, f"camera '{camera}'")
