@@ -1,6 +1,7 @@
 """Zenoh sessions with Asterism's defaults: loopback, no multicast scouting, queues that do not lose poses.
 
-The server is a peer that listens; robots and desks are clients of it, or of any zenoh router.
+The server is a peer that listens; robots and desks are clients of it, or of any zenoh router. One with the same
+defaults is here too.
 """
 
 import json
@@ -59,8 +60,7 @@ def server_config(
     config = _base(options)
     if ros_keys is not None:
         _default(config, "timestamping/enabled", True)
-    _default(config, f"transport/link/tx/queue/size/{ODOMETRY_PRIORITY.lower()}", _ODOMETRY_QUEUE, _TX_QUEUE)
-    _default(config, "transport/link/tx/batch_size", _BATCH_BYTES)
+    _hold_no_poses_back(config)
     if connect is not None:
         _set(config, "mode", "client")
         _set(config, "connect/endpoints", [connect])
@@ -75,9 +75,55 @@ def server_config(
         _default(config, "listen/endpoints", [DEFAULT_ENDPOINT])
     if config.get_json("mode") != '"client"':
         _default(config, "access_control", _only_the_server_speaks([*_OWN_KEYS, *(ros_keys or ())]))
-        _default(config, "transport/unicast/accept_timeout", _ACCEPT_TIMEOUT_MS)
-        _default(config, "transport/unicast/accept_pending", _ACCEPT_PENDING)
+        _let_nobody_wait(config)
     return config
+
+
+def router_config(
+    listen: Sequence[str] = (), connect: Sequence[str] = (), options: Path | None = None
+) -> "zenoh.Config":
+    """A zenoh router that listens on ``listen`` (default: loopback) and links to the routers at ``connect``.
+
+    ``options`` is a JSON5 file of zenoh options; what it says holds, unless an argument says otherwise. It says who may
+    speak, too: without an `access_control` there, everybody may. Raises InputError for a malformed endpoint, for a file
+    that is no zenoh configuration, or one of something else than a router.
+    """
+    for endpoint in (*listen, *connect):
+        check_endpoint(endpoint)
+    config = _base(options)
+    mode = json.loads(config.get_json("mode"))
+    if mode not in (None, "router"):
+        raise InputError(f'{options}: mode is {json.dumps(mode)}, expected "router", or none')
+    _set(config, "mode", "router")
+    _hold_no_poses_back(config)
+    _let_nobody_wait(config)
+    if listen:
+        _set(config, "listen/endpoints", list(listen))
+    else:
+        _default(config, "listen/endpoints", [DEFAULT_ENDPOINT])
+    if connect:
+        _set(config, "connect/endpoints", list(connect))
+    return config
+
+
+def endpoints_of(config: "zenoh.Config", kind: str) -> list[str]:
+    """Where a session of that configuration listens ("listen"), or what it joins ("connect"), as endpoints."""
+    told = json.loads(config.get_json(f"{kind}/endpoints"))
+    if isinstance(told, dict):  # zenoh has a form with endpoints by mode
+        told = told.get(json.loads(config.get_json("mode")), [])
+    return [told] if isinstance(told, str) else list(told)
+
+
+def _hold_no_poses_back(config: "zenoh.Config") -> None:
+    """Over a link that is too slow, poses are dropped rather than told late."""
+    _default(config, f"transport/link/tx/queue/size/{ODOMETRY_PRIORITY.lower()}", _ODOMETRY_QUEUE, _TX_QUEUE)
+    _default(config, "transport/link/tx/batch_size", _BATCH_BYTES)
+
+
+def _let_nobody_wait(config: "zenoh.Config") -> None:
+    """For those that open a connection and say nothing."""
+    _default(config, "transport/unicast/accept_timeout", _ACCEPT_TIMEOUT_MS)
+    _default(config, "transport/unicast/accept_pending", _ACCEPT_PENDING)
 
 
 def _only_the_server_speaks(keys: list[str]) -> dict[str, object]:
@@ -186,10 +232,7 @@ def open_server(
         if endpoint is not None:
             check_endpoint(endpoint)
     config = server_config(listen, connect, options, ros_keys)
-    for key in ("listen/endpoints", "connect/endpoints"):
-        endpoints = json.loads(config.get_json(key))
-        if isinstance(endpoints, list):
-            _set(config, key, [short_of_buffer(endpoint) for endpoint in endpoints])
+    _shorten_buffers(config)
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
@@ -203,6 +246,40 @@ def open_server(
         if connect is not None and "Unable to connect" in str(error):
             raise WorldError(f"{connect}: nothing answers there; start the zenoh router or server first") from None
         raise InputError(f"{where}: zenoh cannot use this endpoint: {text}") from None
+
+
+def open_router(config: "zenoh.Config") -> "zenoh.Session":
+    """Open a router, as `router_config` has it. Routers that it is to link to may be started later.
+
+    Raises InputError when an endpoint is malformed or cannot be listened on, or when a file that the configuration
+    names cannot be used.
+    """
+    import zenoh
+
+    listen = endpoints_of(config, "listen")
+    for endpoint in (*listen, *endpoints_of(config, "connect")):
+        check_endpoint(endpoint)
+    _shorten_buffers(config)
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        where, text = ", ".join(listen), _short(error)
+        if "Address already in use" in str(error):
+            raise InputError(
+                f"{where}: the endpoint is already in use (a server, or another router?); expected a free one: "
+                "--listen tcp/ADDRESS:PORT"
+            ) from None
+        if "Cannot assign requested address" in str(error):
+            raise InputError(
+                f"{where}: this machine does not have that address; expected one of its own, or tcp/0.0.0.0:PORT for "
+                "all of them"
+            ) from None
+        raise InputError(f"{where}: zenoh cannot be a router there: {text}") from None
+
+
+def _shorten_buffers(config: "zenoh.Config") -> None:
+    for kind in ("listen", "connect"):
+        _set(config, f"{kind}/endpoints", [short_of_buffer(endpoint) for endpoint in endpoints_of(config, kind)])
 
 
 def check_endpoint(endpoint: str) -> None:

@@ -18,6 +18,7 @@ COMMANDS = {
     "reload": "let a running server read its rig and calibration again",
     "locate": "poses of a folder of images, a video or a recording, as JSON lines or a recording",
     "watch": "live table of every robot, its age, its state",
+    "router": "a zenoh router with our defaults, where cameras and robots of several hosts meet",
     "record": "record what servers publish, by listening to them",
     "replay": "publish a recording again with its timing, every key behind replay/",
     "review": "look at a recording in the rerun viewer",

@@ -29,7 +29,7 @@ def add_server(part: argparse.ArgumentParser) -> None:
     """Where a command that publishes is to be found."""
     part.add_argument("--listen", metavar="EP", help="listen there instead of tcp/127.0.0.1:7447")
     part.add_argument("--connect", metavar="EP", help="join the zenoh router there, as a client")
-    _add_zenoh(part)
+    add_zenoh(part)
 
 
 def add_client(part: argparse.ArgumentParser) -> None:
@@ -37,10 +37,11 @@ def add_client(part: argparse.ArgumentParser) -> None:
     part.add_argument(
         "--connect", metavar="EP", help="where the server is: a zenoh endpoint such as tcp/127.0.0.1:7447"
     )
-    _add_zenoh(part)
+    add_zenoh(part)
 
 
-def _add_zenoh(part: argparse.ArgumentParser) -> None:
+def add_zenoh(part: argparse.ArgumentParser) -> None:
+    """What zenoh itself is to be told."""
     part.add_argument("--zenoh", metavar="FILE", type=Path, help="any zenoh options, as JSON5")
 
 

@@ -43,6 +43,7 @@ def test_the_file_is_that_of_the_commands() -> None:
         (["report", "rig.yaml", "--truth", "truth.jsonl", ""], ["FILES"]),
         (["--ver"], ["--version"]),
         (["check", "--l"], ["--log"]),
+        (["router", "--li"], ["--listen"]),
     ],
 )
 def test_tab_offers(words: list[str], offered: list[str]) -> None:

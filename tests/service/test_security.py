@@ -2,7 +2,6 @@
 
 import re
 import socket
-import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -18,11 +17,10 @@ from asterism.protocol.messages import ODOMETRY, Message
 from asterism.server.service.on_air import OnAir, Place, on_air
 from asterism.server.sources.session_clock import SessionClock
 from tests.clients.serving import COVARIANCE
-from tests.helpers import REPOSITORY
 from tests.protocol.make_golden import RIG, ROBOT_POSE
 from tests.servers import free_endpoint
+from tests.service.page_files import Files, make_certificates
 
-PAGE = (REPOSITORY / "docs" / "security.md").read_text()
 TIMEOUT_S = 15.0
 KEPT_OUT_S = 5.0
 REFUSED_S = 1.0  # in which a client with the right key has long had its pose
@@ -32,33 +30,10 @@ REFUSED_S = 1.0  # in which a client with the right key has long had its pose
 def certificates(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page's commands, run; and the files of another authority in stranger/."""
     folder = tmp_path_factory.mktemp("certificates")
-    commands = re.search(r"```sh\n(.*?)```", PAGE, re.DOTALL)
-    assert commands is not None
     (folder / "stranger").mkdir()
     for place in (folder, folder / "stranger"):
-        script = commands[1].replace("192.0.2.10", "127.0.0.1")
-        subprocess.run(["sh", "-e", "-c", script], cwd=place, check=True, capture_output=True)
+        make_certificates(place)
     return folder
-
-
-class Files:
-    """The page's json5 files, with this machine's endpoint and paths."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.where = free_endpoint().removeprefix("tcp/")
-
-    def file(self, name: str, **changes: str) -> Path:
-        found = re.search(rf"```json5\n// {name}\n(.*?)```", PAGE, re.DOTALL)
-        assert found is not None, name
-        text = found[1].replace("192.0.2.10:7447", self.where)
-        for word, instead in changes.items():
-            assert word in text
-            text = text.replace(word, instead)
-        text = re.sub(r'"([\w/]+\.(?:pem|key|txt))"', rf'"{self.folder}/\1"', text)
-        out = self.folder / f"{len(list(self.folder.iterdir()))}-{name}"
-        out.write_text(text)
-        return out
 
 
 @contextmanager
