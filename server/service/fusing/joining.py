@@ -15,6 +15,7 @@ from asterism.server.fusing.fleet import Fleet
 from asterism.server.fusing.fuse import fuse
 from asterism.server.fusing.fused import Fused, FusedPose
 from asterism.server.fusing.memory import Joint
+from asterism.server.fusing.places import Places
 from asterism.server.fusing.report import Told, report, rig_report
 from asterism.server.fusing.sighting import Sighting
 from asterism.server.service.events import Answer, Events
@@ -205,7 +206,7 @@ class Joining:
         self._order.forget(camera)
         self._clocks.forget(camera)
         paces = {name: pace for name, pace in self._joint.paces.items() if name != camera}
-        self._joint = replace(self._joint, paces=paces)
+        self._joint = replace(self._joint, paces=paces, places=Places())
 
     def _answer_for_rig(self) -> None:
         self._publisher.rig_payload = to_bytes(rig_report(self.cameras.fleet))
