@@ -48,6 +48,11 @@ def run(options: argparse.Namespace) -> int:
         return fuse_recordings(options)
     if options.out is not None:
         raise InputError("-o is for recordings; expected `asterism fuse RECORDING ... -o OUT`, or neither for live")
+    if options.record is not None:
+        raise InputError(
+            "--record is for recordings; what is joined live is recorded by `asterism record DIR --connect "
+            "tcp/127.0.0.1:7448`"
+        )
     from asterism.server.command.fuse_live import fuse_live
 
     return fuse_live(options)

@@ -81,7 +81,7 @@ class Cameras:
         """What came of asking; returns whether the fleet is another one for it."""
         camera = self.heard.get(name)
         answer = None if camera is None else camera.answered(answers)
-        if camera is None or answer is None:
+        if camera is None or answer is None or (camera.view is not None and answer.texts == camera.texts):
             return False
         before, camera.view, camera.texts, camera.problem = camera.view, answer.view, answer.texts, answer.problem
         if answer.view is not None:

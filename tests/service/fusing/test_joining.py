@@ -11,6 +11,7 @@ import pytest
 import zenoh
 
 from asterism.clients import PoseClient
+from asterism.clients.received_pose import ReceivedPose
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
 from asterism.protocol.codec import report_pose, to_bytes
@@ -23,7 +24,7 @@ from asterism.server.service.stop import Stop
 from tests.fusing.drawn import Seen
 from tests.helpers import assert_poses_close
 from tests.servers import free_endpoint, open_router
-from tests.service.fusing.listener import TIMEOUT_S, Listener
+from tests.service.fusing.listener import TIMEOUT_S, Listener, until
 from tests.service.fusing.speaking import Speaker, placeless
 from tests.several import Drive, facing_pair, rigs_at
 
@@ -112,13 +113,12 @@ def test_two_cameras_are_one_for_clients(hall: Hall) -> None:
     told = listener.rig()
     assert (told.camera, [robot.id for robot in told.robots], list(told.camera_matrix)) == ("fused", list(ROBOTS), [])
     with PoseClient(str(listener.endpoint), camera="fused") as client:
-        feed = client[ROBOTS[0]]
-        heard = threading.Event()
-        feed.on_pose(lambda _: heard.set())
-        hall.tell_until(listener, lambda _: heard.is_set())
-        pose = feed.latest(max_age_s=10.0)
-        assert pose is not None
-        assert (pose.camera, pose.cameras, pose.frame_id) == ("fused", ("left", "right"), "world")
+        poses: queue.SimpleQueue[ReceivedPose] = queue.SimpleQueue()
+        client[ROBOTS[0]].on_pose(poses.put)
+        hall.tell_until(listener, lambda report: of_both(report) and not poses.empty())
+        pose = until(lambda: poses.get(timeout=TIMEOUT_S), lambda pose: pose.cameras == ("left", "right"))
+        assert (pose.camera, pose.frame_id) == ("fused", "world")
+        assert 0.0 < pose.age_s < 10.0
         assert client.alive
     status = listener.status(lambda one: one.rate_hz > 0)
     assert (status.source, status.problem) == ("left, right", "")
