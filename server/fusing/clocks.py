@@ -1,11 +1,11 @@
 """How far apart the clocks of two cameras are, from the way of robots that both see.
 
 A robot's way as one camera has it and as the other has it are one way, seen from two places: the shift of time under
-which they lie on each other best, whatever the places, is how far the clocks are apart. First all shifts are tried, each
-with the best place (Kabsch's method), then shift, drift and place are fitted together (Gauss-Newton, weighted by the
-positions' covariances; what the residuals leave beyond them widens all). A robot that stands still tells nothing, and
-one that goes straight at an even pace cannot be told from a camera that stands elsewhere: the standard deviation says
-so.
+which they lie on each other best, whatever the places, is how far the clocks are apart. First all shifts are tried,
+each with the best place (Kabsch's method), then shift, drift and place are fitted together (Gauss-Newton, weighted by
+the positions' covariances; what the residuals leave beyond them widens all). A robot that stands still tells nothing,
+and one that goes straight at an even pace cannot be told from a camera that stands elsewhere: the standard deviation
+says so.
 """
 
 from collections.abc import Iterator, Sequence
@@ -211,7 +211,7 @@ def _linearised(pairs: _Pairs, T: Pose, at_s: float) -> tuple[Floats, Floats, Fl
     by[:, :, 2:5] = np.eye(3)
     by[:, :, 5:] = turning(arms)
     spread = pairs.first_covariances + T.rotation @ pairs.second_covariances @ T.rotation.T
-    weights = np.linalg.inv(spread)
+    weights = np.asarray(np.linalg.inv(spread), np.float64)
     squared = (away[:, None] @ weights @ away[..., None])[:, 0, 0]
     scale = max(float(np.median(squared)) / MEDIAN_CHI2, 1e-12)
     good = squared < FAR_OFF**2 * 3.0 * scale
