@@ -1,5 +1,6 @@
 """`asterism locate --record` and `asterism fuse RECORDING ...`: films of several cameras, through the commands."""
 
+import csv
 import json
 import re
 import shutil
@@ -123,6 +124,14 @@ def test_every_exposure_of_any_camera_is_a_line_in_the_order_of_time(recorded: P
     kept = [(report.exposed_ns, [list(robot.cameras) for robot in report.robots]) for report in reports(fused)]
     assert kept == [(line["exposed_ns"], [robot["cameras"] for robot in line["robots"]]) for line in told]
     assert [robot.id for robot in fused.rig().robots] == ["r00"]
+    # What reads the lines and the recording reads the same.
+    for source, name in ((other, "lines"), (fused.path, "recording")):
+        assert main(["export", str(source), "--to", "csv", "-o", str(tmp_path / name)]) == 0
+        with (tmp_path / name / "r00.csv").open() as table:
+            rows = list(csv.DictReader(table))
+        assert [int(row["exposed_ns"]) for row in rows] == [line["exposed_ns"] for line in told]
+        assert [row["cameras"] for row in rows] == ["/".join(line["robots"][0]["cameras"]) for line in told]
+        assert [float(row["x_m"]) for row in rows] == [line["robots"][0]["position"][0] for line in told]
 
 
 def test_the_lines_are_what_the_pure_function_says_of_the_reports(films: Path, recorded: Path, tmp_path: Path) -> None:
