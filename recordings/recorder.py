@@ -106,7 +106,7 @@ class Recorder:
             "protocol": str(PROTOCOL),
             "version": __version__,
             "source": source,
-            "started": started.isoformat(),
+            "started": started.isoformat(timespec="microseconds"),
         }
         metadata = self._run_metadata | rig_metadata(rig)
         self._poses = Series(

@@ -1,15 +1,13 @@
 """asterism locate: poses of images, a video or a recording, as JSON lines or as a recording."""
 
 import argparse
-import contextlib
 import logging
-import os
 import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -24,11 +22,12 @@ from asterism.server.chain.smooth import Motions, SmoothedPose, smooth
 from asterism.server.chain.smooth_both import smooth_both
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.fitted_rig import open_fitting
+from asterism.server.command.lines_output import lines_output
 from asterism.server.command.number_arguments import bits
 from asterism.server.command.record_arguments import add_record
 from asterism.server.command.recorded_film import film_recorder
 from asterism.server.command.shared_arguments import BOTH_WAYS, FINITE_SOURCE, add_out, add_smoothing_ways, add_topic
-from asterism.server.output import check_file, check_folder_of_many, new_file
+from asterism.server.output import check_file, check_folder_of_many
 from asterism.server.pose.solve import PoseEstimate
 from asterism.server.pose.track import Tracks
 from asterism.server.service.adviser import Adviser
@@ -83,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
     encoder, stop = msgspec.json.Encoder(), Stop()
     tally = Tally(robot.id for robot in rig.robots)
     adviser = Adviser(rig, tally, say)
-    with _output(options.out, options.force) as out, film_recorder(options, rig, source) as record:
+    with lines_output(options.out, options.force) as out, film_recorder(options, rig, source) as record:
         with stop_on_signals(stop), _live_line(options.out, source, tally):
             located = _watched(_located(source.frames(), rig, options.independent), tally, adviser, stop)
             for frame, result in _smoothed(located, rig, options.smooth):
@@ -218,18 +217,3 @@ def _velocity(velocity: Velocity) -> dict[str, list[float]]:
         "angular": velocity.angular.tolist(),
         "covariance": velocity.covariance.ravel().tolist(),
     }
-
-
-@contextlib.contextmanager
-def _output(path: Path | None, force: bool) -> Iterator[BinaryIO | None]:
-    if path is None:
-        yield None
-        return
-    if str(path) == "-":
-        with os.fdopen(os.dup(sys.stdout.fileno()), "wb") as stream:
-            yield stream
-        return
-    with new_file(path, force, keep=True) as output, output.path.open("wb") as stream:
-        yield stream
-    if output.kept:
-        say(f"{path}: the old one is kept as {output.kept}")
