@@ -72,7 +72,8 @@ def run(options: argparse.Namespace) -> int:
     for line in [*_clock_lines(fit, rigs), *_led_lines(fit), *_lens_lines(fit, [lens.told_by for lens in lenses])]:
         print(line)
     turn = np.kron(np.eye(2), origin.T_world_first.rotation)
-    known = [PlaceError(turn @ placed.covariance @ turn.T, BY) for placed in fit.cameras]
+    by = f"{BY}, against camera {fit.cameras[0].camera}"
+    known = [PlaceError(turn @ placed.covariance @ turn.T, by) for placed in fit.cameras]
     for line in write_placed(pairs, fit, list(zip(places, known, strict=True)), options.out, options.force):
         print(line)
     return 0

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 def check_placed(pairs: "Sequence[Pair]", folder: Path, lens: bool, force: bool) -> None:
     """Refuse, before any work is done, to replace anything unasked. Raises InputError."""
     check_folder_of_many(folder)
-    for pair in pairs:
+    for pair in pairs if folder.exists() else ():
         out = _out(pairs, pair, folder)
         check_result_file(out, force)
         check_uncertainty_file(out, force)

@@ -150,7 +150,7 @@ class _Task:
             first = layout.of_lenses.start
             for error, now, given in zip(self.lens_errors, belief.lenses, self.given.lenses, strict=True):
                 rows = slice(first, first + len(error))
-                information[rows, rows] = np.linalg.pinv(error, rcond=1e-10, hermitian=True)
+                information[rows, rows] = _information(error)
                 mean[rows] = values_of(given) - values_of(now)
                 first = rows.stop
         return Before(information, mean)
@@ -183,6 +183,13 @@ class _Task:
                 told = pull - across.T @ answers[:, -1] + information @ known
                 new[k, way] = misfit2_of(information, told)
         return new
+
+
+def _information(error: Floats) -> Floats:
+    """The inverse of a lens' covariance; what is known exactly is known nearly so, to be invertible."""
+    sizes = np.sqrt(np.diag(error)) + np.concatenate([np.full(4, 1e-6), np.full(len(error) - 4, 1e-9)])
+    values, vectors = np.linalg.eigh(error / np.outer(sizes, sizes))
+    return np.asarray(vectors @ np.diag(1.0 / np.maximum(values, 1e-6)) @ vectors.T / np.outer(sizes, sizes))
 
 
 def _held_clocks(seen: Sequence[Seen], start: Start, layout: Layout) -> Bools:
