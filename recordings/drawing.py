@@ -14,6 +14,8 @@ plots/residual/<id>           px
 plots/latency                 ms
 states/<id>                   TRACKED, TILT_AMBIGUOUS, IDENTITY_AMBIGUOUS, LOST
 events                        what happened, as sentences
+
+Of several cameras: entities.py.
 """
 
 from collections import deque
@@ -29,10 +31,11 @@ from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.messages import State
 from asterism.protocol.rig import Rig
 from asterism.recordings import overlay
+from asterism.recordings.entities import ALONE, Entities, part
 from asterism.recordings.plates import TO_THE_CAMERA, plate_outline, roll_pitch_yaw_deg
 from asterism.recordings.png_image import png
 from asterism.recordings.robot_table import robot_table
-from asterism.recordings.scene import STATE_COLOURS, name_place, part, place_scene, place_transform, robot_colours
+from asterism.recordings.scene import STATE_COLOURS, name_place, place_scene, place_transform, robot_colours
 
 APPLICATION = "asterism"
 TRAIL = 600  # positions kept of every robot's path
@@ -42,25 +45,26 @@ HALF_TURN_DEG = 180.0  # an angle that jumps so far has gone once around
 class Drawing:
     """Draws frame reports and images into one rerun stream."""
 
-    def __init__(self, stream: rr.RecordingStream, rig: Rig) -> None:
+    def __init__(self, stream: rr.RecordingStream, rig: Rig, entities: Entities = ALONE) -> None:
         self._stream = stream
         self._rig = rig
+        self._entities = entities
         self._colours = robot_colours(rig)
         self._outlines = {robot.id: plate_outline(robot) for robot in rig.robots}
-        self._names = {robot.id: name_place(robot) for robot in rig.robots}
+        self._names = {robot.id: name_place(robot, entities.storey) for robot in rig.robots}
         self._T_camera_parent = (rig.T_world_camera or Pose.identity()).inverse()
         self._trails: dict[str, deque[Floats]] = {robot.id: deque(maxlen=TRAIL) for robot in rig.robots}
         self._states: dict[str, str] = {}
         self._angles: dict[str, Floats] = {}
         self._two_tilts: set[str] = set()  # drawn with both
-        place_scene(stream, rig)
+        place_scene(stream, rig, entities)
 
     def replaced_by(self, rig: Rig) -> "Drawing":
         """Another rig is in force from now on: the robots of this one are drawn nowhere."""
         for robot in self._rig.robots:
             for what in ("robots", "alternatives", "paths"):
-                self._stream.log(f"world/{what}/{part(robot.id)}", rr.Clear(recursive=True))
-        return Drawing(self._stream, rig)
+                self._stream.log(self._entities.robot(what, robot.id), rr.Clear(recursive=True))
+        return Drawing(self._stream, rig, self._entities)
 
     def image(self, image: NDArray[np.uint8], time_ns: int, sequence: int) -> None:
         """Show an (h, w) frame."""
@@ -69,7 +73,7 @@ class Drawing:
     def encoded(self, contents: bytes, media_type: str, time_ns: int, sequence: int) -> None:
         """Show a frame that is encoded already, as PNG or JPEG."""
         self._at(time_ns, sequence)
-        self._stream.log("world/camera/image", rr.EncodedImage(contents=contents, media_type=media_type))
+        self._stream.log(self._entities.image, rr.EncodedImage(contents=contents, media_type=media_type))
 
     def report(self, report: "pb.FrameReport") -> None:
         """Show what one frame told, but for robots that the rig does not have: one that was in force later may."""
@@ -79,10 +83,18 @@ class Drawing:
         if report.HasField("camera"):
             place = report_pose(report.camera.pose)
             self._T_camera_parent = place.inverse()
-            self._stream.log("world/camera", place_transform(place))
+            self._stream.log(self._entities.camera, place_transform(place))
+        if self._entities.camera:
+            self._over_the_image(report, poses)
+        if self._entities.told is not None:
+            self._robots(report, poses)
+
+    def _robots(self, report: "pb.FrameReport", poses: dict[str, Pose]) -> None:
+        """In space, in plots and in the table."""
         angles = {robot_id: self._angles_of(pose) for robot_id, pose in poses.items()}
-        self._over_the_image(report, poses)
-        for robot in robots:
+        for robot in report.robots:
+            if robot.id not in self._outlines:
+                continue
             self._state(robot)
             self._alternative(robot)
             if robot.id in poses:
@@ -91,19 +103,20 @@ class Drawing:
         self._scalar("plots/latency/solving", (report.solved_ns - report.arrived_ns) * 1e-6)
         self._scalar("plots/latency/exposure_to_network", (report.published_ns - report.exposed_ns) * 1e-6)
         rows = ((robot, poses.get(robot.id), angles.get(robot.id)) for robot in report.robots)
-        self._stream.log("robots", rr.TextDocument(robot_table(rows), media_type="text/markdown"))
+        self._stream.log(f"{self._entities.told}robots", rr.TextDocument(robot_table(rows), media_type="text/markdown"))
 
     def event(self, event: "pb.Event") -> None:
         """Write down what happened."""
         self._at(event.since_ns, event.sequence)
-        self._stream.log("events", rr.TextLog(sentence(event), level="WARN" if is_loss(event) else "INFO"))
+        self._stream.log(self._entities.events, rr.TextLog(sentence(event), level="WARN" if is_loss(event) else "INFO"))
 
     def _at(self, time_ns: int, sequence: int) -> None:
         self._stream.set_time("exposed", timestamp=np.datetime64(time_ns, "ns"))
-        self._stream.set_time("frame", sequence=sequence)
+        if not self._entities.several:
+            self._stream.set_time("frame", sequence=sequence)
 
     def _scalar(self, path: str, value: float) -> None:
-        self._stream.log(path, rr.Scalars(value))
+        self._stream.log(f"{self._entities.told}{path}", rr.Scalars(value))
 
     def _angles_of(self, pose: Pose) -> Floats:
         turn = pose.rotation if self._rig.T_world_camera is not None else TO_THE_CAMERA @ pose.rotation
@@ -116,25 +129,25 @@ class Drawing:
             for robot, pose in poses.items()
         }
         texts = {robot.id: _name_of(robot) for robot in report.robots}
-        log("world/camera/image/spots", overlay.spots(report))
-        log("world/camera/image/plates", overlay.plates(edges, self._colours))
-        log("world/camera/image/names", overlay.names(edges, texts, self._colours, camera.height))
-        log("world/camera/image/residuals", overlay.residuals(report))
+        log(f"{self._entities.image}/spots", overlay.spots(report))
+        log(f"{self._entities.image}/plates", overlay.plates(edges, self._colours))
+        log(f"{self._entities.image}/names", overlay.names(edges, texts, self._colours, camera.height))
+        log(f"{self._entities.image}/residuals", overlay.residuals(report))
 
     def _state(self, robot: "pb.RobotReport") -> None:
         """What changes with the robot's state: the timeline, its name in space, and whether it is there at all."""
-        state, path = State.Name(robot.state), f"world/robots/{part(robot.id)}"
+        state, path = State.Name(robot.state), self._entities.robot("robots", robot.id)
         if self._states.get(robot.id) == state:
             return
         self._states[robot.id] = state
-        self._stream.log(f"states/{part(robot.id)}", rr.StateChange(state=state))
+        self._stream.log(f"{self._entities.told}states/{part(robot.id)}", rr.StateChange(state=state))
         if robot.HasField("pose"):
             colour = self._colours[robot.id] if robot.state == pb.TRACKED else STATE_COLOURS[state]
             name = rr.Points3D(
                 self._names[robot.id],
                 radii=rr.Radius.ui_points(0.5),
                 colors=colour,
-                labels=[_name_of(robot)],
+                labels=[_name_of(robot) + (f", {self._entities.by}" if self._entities.by else "")],
                 show_labels=True,
             )
             self._stream.log(f"{path}/name", name)
@@ -143,21 +156,21 @@ class Drawing:
         self._stream.log(path, rr.Transform3D(scale=[0.0, 0.0, 0.0]))
         self._stream.log(f"{path}/name", rr.Clear(recursive=False))
         for plot in ("position", "angles", "residual"):
-            self._stream.log(f"plots/{plot}/{part(robot.id)}", rr.Clear(recursive=True))
+            self._stream.log(f"{self._entities.told}plots/{plot}/{part(robot.id)}", rr.Clear(recursive=True))
 
     def _place(self, robot: str, pose: Pose) -> None:
         self._stream.log(
-            f"world/robots/{part(robot)}",
+            self._entities.robot("robots", robot),
             rr.Transform3D(translation=pose.position, quaternion=rr.Quaternion(xyzw=pose.orientation), scale=1.0),
         )
         trail = self._trails[robot]
         trail.append(pose.position)
         if len(trail) % 5 == 0 or len(trail) == TRAIL:
             path = rr.LineStrips3D([np.array(trail)], colors=self._colours[robot], radii=rr.Radius.ui_points(1.0))
-            self._stream.log(f"world/paths/{part(robot)}", path)
+            self._stream.log(self._entities.robot("paths", robot), path)
 
     def _alternative(self, robot: "pb.RobotReport") -> None:
-        path = f"world/alternatives/{part(robot.id)}"
+        path = self._entities.robot("alternatives", robot.id)
         if not robot.HasField("alternative"):
             if robot.id in self._two_tilts:
                 self._two_tilts.remove(robot.id)
@@ -181,7 +194,7 @@ class Drawing:
             self._scalar(f"plots/position/{part(robot.id)}/{axis}", value)
         turned = np.abs(angles - self._angles.get(robot.id, angles))
         for name, value, jump in zip(("roll", "pitch", "yaw"), angles.tolist(), turned.tolist(), strict=True):
-            path = f"plots/angles/{part(robot.id)}/{name}"
+            path = f"{self._entities.told}plots/angles/{part(robot.id)}/{name}"
             self._stream.log(path, rr.Scalars(value) if jump < HALF_TURN_DEG else rr.Clear(recursive=False))
         self._angles[robot.id] = angles
         self._scalar(f"plots/residual/{part(robot.id)}", robot.rms_px)

@@ -6,12 +6,13 @@ from rerun.encodings import Plane3D
 
 from asterism.protocol.geometry import Pose
 from asterism.protocol.rig import Rig
-from asterism.recordings.scene import part, working_range
+from asterism.recordings.entities import part
+from asterism.recordings.scene import working_range
 
 GRID_M = 0.1
 TOWARDS_THE_CAMERA = np.array([0.0, 0.0, -1.0])
 MOST_ROWS = 8  # of robots, before table and states scroll
-_BACKGROUND = rrb.Background(color=[38, 42, 50], kind=rrb.BackgroundKind.SolidColor)
+BACKGROUND = rrb.Background(color=[38, 42, 50], kind=rrb.BackgroundKind.SolidColor)
 
 
 def review_blueprint(rig: Rig) -> rrb.Blueprint:
@@ -63,7 +64,7 @@ def space_view(rig: Rig) -> rrb.Spatial3DView:
         origin="world",
         contents=["+ world/**", "- world/camera/image/**", "+ world/camera/image"],
         name=f"space: grid of {GRID_M:g} m" if rig.T_world_camera is not None else "space",
-        background=_BACKGROUND,
+        background=BACKGROUND,
         line_grid=floor,
         eye_controls=_eye(rig),
     )

@@ -65,13 +65,21 @@ class Recorder:
 
     ``wait``: `write` waits for room (files) instead of leaving out (live cameras). ``limit_bytes``: the oldest frames
     files are deleted where the recording would become larger; poses stay. Raises WorldError when the folder cannot be
-    made.
+    made. ``timed``: what was written is brought to the file twice a second; otherwise the same messages make the same
+    files, to the byte, but for when they were begun.
 
     ``problem`` says, in a sentence, what is not recorded at the moment, and after `close` what was not.
     """
 
     def __init__(
-        self, parent: Path, rig: Rig, source: str, kept: FramesKept, wait: bool, limit_bytes: int | None = None
+        self,
+        parent: Path,
+        rig: Rig,
+        source: str,
+        kept: FramesKept,
+        wait: bool,
+        limit_bytes: int | None = None,
+        timed: bool = True,
     ) -> None:
         started = datetime.now(UTC)
         self.folder = _new_folder(parent, f"{rig.camera.name}-{started:%Y%m%dT%H%M%SZ}")
@@ -83,6 +91,7 @@ class Recorder:
         self._kept = kept
         self._viewers = Viewers(rig)
         self._wait = wait
+        self._timed = timed
         self._limit = limit_bytes
         self._room = Room(self.folder)
         self._failed: tuple[str, float] | None = None  # why nothing can be written, and when that was tried last
@@ -97,7 +106,7 @@ class Recorder:
             "protocol": str(PROTOCOL),
             "version": __version__,
             "source": source,
-            "started": started.isoformat(),
+            "started": started.isoformat(timespec="microseconds"),
         }
         metadata = self._run_metadata | rig_metadata(rig)
         self._poses = Series(
@@ -173,7 +182,8 @@ class Recorder:
                 self._lost[0] += item.image is not None
                 self._stop(OSError(0, f"a fault of the program: {error!r}"))
             if time.monotonic() - flushed >= FLUSH_S:
-                self._flush()
+                if self._timed:
+                    self._flush()
                 flushed = time.monotonic()
 
     def _record(self, item: _Item) -> None:

@@ -6,6 +6,7 @@ import rerun as rr
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.messages import State
 from asterism.protocol.rig import Rig, Robot
+from asterism.recordings.entities import ALONE, Entities, part
 from asterism.recordings.plates import plate_outline
 
 Colour = tuple[int, int, int]
@@ -25,6 +26,8 @@ LATENCIES = {"exposure to network, ms": (230, 159, 0), "solving, ms": (86, 180, 
 LED_PX = 2.5  # radius on the screen: seen from wherever one looks
 AXIS = 0.8  # of a robot's extent
 NAME_ABOVE = 1.6  # of a robot's extent, from its plate
+STOREY = 0.8  # of a robot's extent, from one name to the next
+NEAR_IMAGE = 0.3  # of the nearest working distance, where the images of several cameras stand
 
 
 def robot_colours(rig: Rig) -> dict[str, Colour]:
@@ -32,21 +35,19 @@ def robot_colours(rig: Rig) -> dict[str, Colour]:
     return {robot.id: _COLOURS[k % len(_COLOURS)] for k, robot in enumerate(rig.robots)}
 
 
-def place_scene(stream: rr.RecordingStream, rig: Rig) -> None:
+def place_scene(stream: rr.RecordingStream, rig: Rig, entities: Entities = ALONE) -> None:
     """Log what is static: entities as drawing.py lists them."""
-    _place_camera(stream, rig)
+    _place_world(stream, rig)
+    if entities.camera:
+        _place_camera(stream, rig, entities)
+    if entities.told is None:
+        return
     for robot_id, colour in robot_colours(rig).items():
-        _place_robot(stream, rig.robot(robot_id), colour)
-        _place_plots(stream, robot_id, colour)
+        _place_robot(stream, rig.robot(robot_id), colour, entities)
+        _place_plots(stream, robot_id, colour, entities)
     for name, colour in LATENCIES.items():
-        path = f"plots/latency/{name.partition(',')[0].replace(' ', '_')}"
+        path = f"{entities.told}plots/latency/{name.partition(',')[0].replace(' ', '_')}"
         stream.log(path, rr.SeriesLines(names=name, colors=colour), static=True)
-
-
-def part(name: str) -> str:
-    """A robot's id as one part of an entity's path, whatever characters it holds."""
-    escaped: str = rr.escape_entity_path_part(name)
-    return escaped
 
 
 def working_range(rig: Rig) -> tuple[float, float]:
@@ -54,9 +55,9 @@ def working_range(rig: Rig) -> tuple[float, float]:
     return rig.range_m or (1.0, 1.5)
 
 
-def name_place(robot: Robot) -> Floats:
-    """Where a robot's name stands, (3,) m in its frame: above its plate."""
-    return robot.T_robot_plane.map(np.array([0.0, 0.0, NAME_ABOVE * robot.extent]))
+def name_place(robot: Robot, storey: int = 0) -> Floats:
+    """Where a robot's name stands, (3,) m in its frame: above its plate, and above names of lower storeys."""
+    return robot.T_robot_plane.map(np.array([0.0, 0.0, (NAME_ABOVE + STOREY * storey) * robot.extent]))
 
 
 def place_transform(pose: Pose) -> rr.Transform3D:
@@ -64,40 +65,43 @@ def place_transform(pose: Pose) -> rr.Transform3D:
     return rr.Transform3D(translation=pose.position, quaternion=rr.Quaternion(xyzw=pose.orientation))
 
 
-def _place_camera(stream: rr.RecordingStream, rig: Rig) -> None:
-    camera, in_world = rig.camera, rig.T_world_camera
-    near, far = working_range(rig)
-    if in_world is None:
+def _place_world(stream: rr.RecordingStream, rig: Rig) -> None:
+    if rig.T_world_camera is None:
         stream.log("world", rr.ViewCoordinates.RDF, static=True)
     else:
         stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         stream.log("world/origin", rr.TransformAxes3D(0.1), static=True)
+
+
+def _place_camera(stream: rr.RecordingStream, rig: Rig, entities: Entities) -> None:
+    camera, (near, far) = rig.camera, working_range(rig)
+    if rig.T_world_camera is not None:
         # A static place would hide those of frames in which the camera was followed.
-        stream.log("world/camera", place_transform(in_world), static=not rig.follows_world)
+        stream.log(entities.camera, place_transform(rig.T_world_camera), static=not rig.follows_world)
     stream.log(
-        "world/camera/image",
+        entities.image,
         rr.Pinhole(
             image_from_camera=camera.matrix,
             resolution=[camera.width, camera.height],
             camera_xyz=rr.ViewCoordinates.RDF,
-            image_plane_distance=far,
+            image_plane_distance=NEAR_IMAGE * near if entities.several else far,
             color=[255, 255, 255],
             line_width=0.002 * near,
         ),
         static=True,
     )
     # Else the viewer draws one as long as the frustum.
-    stream.log("world/camera/image", rr.TransformAxes3D(0.1 * near), static=True)
+    stream.log(entities.image, rr.TransformAxes3D(0.1 * near), static=True)
     name = rr.Points3D(
         [0.0, 0.0, 0.0], radii=rr.Radius.ui_points(0.5), colors=[255, 255, 255], labels=[camera.name], show_labels=True
     )
-    stream.log("world/camera/name", name, static=True)
+    stream.log(f"{entities.camera}/name", name, static=True)
 
 
-def _place_robot(stream: rr.RecordingStream, robot: Robot, colour: Colour) -> None:
-    path, outline = f"world/robots/{part(robot.id)}", plate_outline(robot)
+def _place_robot(stream: rr.RecordingStream, robot: Robot, colour: Colour, entities: Entities) -> None:
+    path, outline = entities.robot("robots", robot.id), plate_outline(robot)
     edge = np.vstack([outline, outline[:1]])
-    mast = np.stack([robot.T_robot_plane.position, name_place(robot)])
+    mast = np.stack([robot.T_robot_plane.position, name_place(robot, entities.storey)])
     fan = [(0, k, k + 1) for k in range(1, len(outline) - 1)]
     logged = {
         path: rr.TransformAxes3D(AXIS * robot.extent),
@@ -123,9 +127,13 @@ def _place_robot(stream: rr.RecordingStream, robot: Robot, colour: Colour) -> No
         stream.log(entity, archetype, static=True)
 
 
-def _place_plots(stream: rr.RecordingStream, robot: str, colour: Colour) -> None:
+def _place_plots(stream: rr.RecordingStream, robot: str, colour: Colour, entities: Entities) -> None:
+    own = _COLOURS[entities.storey % len(_COLOURS)]
+
     def line(path: str, name: str, tint: Colour) -> None:
-        stream.log(path, rr.SeriesLines(names=name, colors=tint), static=True)
+        # Of one of several cameras the line is told by the camera.
+        names, colours = (entities.by, own) if entities.by else (name, tint)
+        stream.log(f"{entities.told}{path}", rr.SeriesLines(names=names, colors=colours), static=True)
 
     for name, tint in zip("xyz", AXES, strict=True):
         line(f"plots/position/{part(robot)}/{name}", f"{name}, m", tint)
@@ -134,4 +142,4 @@ def _place_plots(stream: rr.RecordingStream, robot: str, colour: Colour) -> None
     line(f"plots/residual/{part(robot)}", f"{robot}: rms, px", colour)
     states = list(STATE_COLOURS)
     looks = rr.StateConfiguration(values=states, labels=states, colors=np.array(list(STATE_COLOURS.values()), np.uint8))
-    stream.log(f"states/{part(robot)}", looks, static=True)
+    stream.log(f"{entities.told}states/{part(robot)}", looks, static=True)

@@ -10,6 +10,7 @@ EXAMPLES = (
     "asterism fuse --connect tcp/192.168.1.2:7447 --connect tcp/192.168.1.3:7447\n"
     "asterism fuse --join tcp/192.168.1.1:7447 --camera left --camera right\n"
     "asterism fuse recordings/left recordings/right -o fused.jsonl\n"
+    "asterism fuse recordings -o fused.jsonl --record fused\n"
 )
 
 
@@ -23,6 +24,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     )
     files = part.add_argument_group("of recordings")
     files.add_argument("-o", "--out", metavar="OUT", type=named, help="where the lines go; - for the terminal")
+    files.add_argument("--record", metavar="DIR", type=named, help="record what is joined into a new folder in DIR")
     add_force(files)
     live = part.add_argument_group("live")
     live.add_argument(
@@ -46,7 +48,14 @@ def run(options: argparse.Namespace) -> int:
         return fuse_recordings(options)
     if options.out is not None:
         raise InputError("-o is for recordings; expected `asterism fuse RECORDING ... -o OUT`, or neither for live")
-    raise InputError("fusing live is not there yet; expected recordings")
+    if options.record is not None:
+        raise InputError(
+            "--record is for recordings; what is joined live is recorded by `asterism record DIR --connect "
+            "tcp/127.0.0.1:7448`"
+        )
+    from asterism.server.command.fuse_live import fuse_live
+
+    return fuse_live(options)
 
 
 def refuse_live_options(options: argparse.Namespace) -> None:
@@ -54,5 +63,5 @@ def refuse_live_options(options: argparse.Namespace) -> None:
     for option in ("connect", "listen", "join", "zenoh"):
         if getattr(options, option):
             raise InputError(f"--{option} is for fusing live; with recordings there is no network")
-    if options.out is None:
-        raise InputError("no -o OUT is given, expected a file for the lines, or - for the terminal")
+    if options.out is None and options.record is None:
+        raise InputError("nothing is to be written, expected -o OUT for lines, --record DIR for a recording, or both")

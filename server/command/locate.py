@@ -1,15 +1,13 @@
-"""asterism locate: poses of images, a video or a recording, as JSON lines."""
+"""asterism locate: poses of images, a video or a recording, as JSON lines or as a recording."""
 
 import argparse
-import contextlib
 import logging
-import os
 import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -24,9 +22,12 @@ from asterism.server.chain.smooth import Motions, SmoothedPose, smooth
 from asterism.server.chain.smooth_both import smooth_both
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.fitted_rig import open_fitting
+from asterism.server.command.lines_output import lines_output
 from asterism.server.command.number_arguments import bits
+from asterism.server.command.record_arguments import add_record
+from asterism.server.command.recorded_film import film_recorder
 from asterism.server.command.shared_arguments import BOTH_WAYS, FINITE_SOURCE, add_out, add_smoothing_ways, add_topic
-from asterism.server.output import check_file, new_file
+from asterism.server.output import check_file, check_folder_of_many
 from asterism.server.pose.solve import PoseEstimate
 from asterism.server.pose.track import Tracks
 from asterism.server.service.adviser import Adviser
@@ -41,6 +42,7 @@ EXAMPLES = (
     "asterism locate rig.yaml frames/ -o poses.jsonl\n"
     "asterism locate rig.yaml 'frames/*.png' -o poses.jsonl --independent\n"
     "asterism locate rig.yaml frames/ -o poses.jsonl --smooth both\n"
+    "asterism locate rig.yaml frames/ --record recordings\n"
 )
 
 NO_IMAGE = np.empty((0, 0), np.uint8)
@@ -53,7 +55,8 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     part.add_argument("rig", metavar="RIG", help="rig.yaml")
     part.add_argument("source", metavar="SOURCE", help=FINITE_SOURCE)
     add_topic(part)
-    add_out(part, "OUT", "where the lines go; - for the terminal")
+    add_out(part, "OUT", "where the lines go; - for the terminal", required=False)
+    add_record(part, "none")
     part.add_argument("--independent", action="store_true", help="each frame alone, without what came before")
     part.add_argument(
         "--bits",
@@ -68,8 +71,7 @@ def run(options: argparse.Namespace) -> int:
     """Localize every frame; nothing is waited for, nothing is dropped."""
     if options.independent and options.smooth:
         raise InputError("--independent and --smooth exclude each other: each frame alone, or joined to those before")
-    if str(options.out) != "-":
-        check_file(options.out, options.force)
+    _check_outputs(options)
     rig = load_rig(options.rig)
     if options.bits is not None:
         rig = replace(rig, capture=replace(rig.capture, bits=options.bits))
@@ -80,15 +82,34 @@ def run(options: argparse.Namespace) -> int:
     encoder, stop = msgspec.json.Encoder(), Stop()
     tally = Tally(robot.id for robot in rig.robots)
     adviser = Adviser(rig, tally, say)
-    with _output(options.out, options.force) as out:
+    with lines_output(options.out, options.force) as out, film_recorder(options, rig, source) as record:
         with stop_on_signals(stop), _live_line(options.out, source, tally):
             located = _watched(_located(source.frames(), rig, options.independent), tally, adviser, stop)
             for frame, result in _smoothed(located, rig, options.smooth):
-                out.write(encoder.encode(line(frame, result)) + b"\n")
+                if out is not None:
+                    out.write(encoder.encode(line(frame, result)) + b"\n")
+                if record is not None:
+                    record(frame, result)
         _tell(source, tally, adviser, stop())
         if stop():
             raise KeyboardInterrupt  # so that half of it does not stand under the name of the whole
     return 0
+
+
+def _check_outputs(options: argparse.Namespace) -> None:
+    if options.out is None and options.record is None:
+        raise InputError("nothing is to be written, expected -o OUT for lines, --record DIR for a recording, or both")
+    if options.out is not None and str(options.out) != "-":
+        check_file(options.out, options.force)
+    if options.record is None:
+        if options.record_frames.every:
+            raise InputError("--record-frames is for a recording; add --record DIR")
+        return
+    check_folder_of_many(options.record)
+    if options.smooth == BOTH_WAYS and options.record_frames.every:
+        raise InputError(
+            "--smooth both keeps no images while it waits for what comes after; expected --record-frames none"
+        )
 
 
 def _tell(source: Source, tally: Tally, adviser: Adviser, stopped: bool) -> None:
@@ -137,7 +158,7 @@ def _smoothed(
             yield frame, smoothed
 
 
-def _live_line(out: Path, source: Source, tally: Tally) -> AbstractContextManager[object]:
+def _live_line(out: Path | None, source: Source, tally: Tally) -> AbstractContextManager[object]:
     """How it goes; nothing where the lines themselves run over the terminal."""
     if str(out) == "-" and sys.stdout.isatty():
         return nullcontext()
@@ -196,15 +217,3 @@ def _velocity(velocity: Velocity) -> dict[str, list[float]]:
         "angular": velocity.angular.tolist(),
         "covariance": velocity.covariance.ravel().tolist(),
     }
-
-
-@contextlib.contextmanager
-def _output(path: Path, force: bool) -> Iterator[BinaryIO]:
-    if str(path) == "-":
-        with os.fdopen(os.dup(sys.stdout.fileno()), "wb") as stream:
-            yield stream
-        return
-    with new_file(path, force, keep=True) as output, output.path.open("wb") as stream:
-        yield stream
-    if output.kept:
-        say(f"{path}: the old one is kept as {output.kept}")

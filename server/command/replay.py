@@ -5,11 +5,10 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack
-from itertools import chain
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
-from asterism.protocol.codec import decode_frame_report, encode_rig, in_session, stamped
+from asterism.protocol.codec import decode_frame_report, encode_rig, in_session
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import FRAME_REPORT, STATUS, Message
 from asterism.protocol.program import typed
@@ -99,7 +98,7 @@ def _solved(recording: Recording, rig: Rig) -> Iterator[Message]:
     from asterism.protocol.camera import check_image_size
     from asterism.server.chain.frame import Frame
     from asterism.server.chain.pipeline import localize
-    from asterism.server.chain.report import report
+    from asterism.server.command.recorded_film import film_messages
     from asterism.server.pose.track import Tracks
     from asterism.server.service.events import Events
 
@@ -108,9 +107,7 @@ def _solved(recording: Recording, rig: Rig) -> Iterator[Message]:
         check_image_size(rig.camera, image.shape[1], image.shape[0], f"{recording.path}, frame {index}")
         frame = Frame(image, exposed_ns, index, f"{index:06d}", exposed_ns)
         result, tracks = localize(frame, rig, tracks)
-        # Solved again, the frame has no times of its own beyond its exposure.
-        messages = chain(report(frame, result, rig, exposed_ns), events.add(result, frame.session))
-        yield from (stamped(message, exposed_ns) for message in messages)
+        yield from film_messages(frame, result, rig, events)
 
 
 def _step(step_ns: int) -> str:

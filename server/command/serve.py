@@ -12,9 +12,10 @@ from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.fitted_rig import open_fitting
-from asterism.server.command.number_arguments import count, port, positive, size
+from asterism.server.command.number_arguments import port, positive, size
 from asterism.server.command.outlets import add_outlets, check_outlets, open_outlets, ros_keys
-from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing, add_topic, named
+from asterism.server.command.record_arguments import add_record
+from asterism.server.command.shared_arguments import SOURCE, add_server, add_smoothing, add_topic
 from asterism.server.output import check_folder_of_many
 from asterism.server.service.live_line import LiveLine
 from asterism.server.service.on_air import Place, on_air
@@ -45,14 +46,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     part.add_argument("source", metavar="SOURCE", help=SOURCE)
     add_topic(part)
     part.add_argument("--rate", metavar="HZ", type=positive, help="play images or a video at this rate")
-    part.add_argument("--record", metavar="DIR", type=named, help="record into a new folder in DIR")
-    part.add_argument(
-        "--record-frames",
-        metavar="all|N|spots|none",
-        type=_kept,
-        default=FramesKept(),
-        help="every frame, every Nth, of every one the windows around spots, none (default: all)",
-    )
+    add_record(part, "all")
     part.add_argument(
         "--record-limit",
         metavar="SIZE",
@@ -65,12 +59,6 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     add_outlets(part)
     add_smoothing(part)
     add_server(part)
-
-
-def _kept(text: str) -> FramesKept:
-    if text in ("all", "none", "spots"):
-        return FramesKept(int(text != "none"), text == "spots")
-    return FramesKept(count(text))
 
 
 def run(options: argparse.Namespace) -> int:

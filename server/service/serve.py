@@ -33,6 +33,7 @@ from asterism.server.service.systemd import Systemd
 from asterism.server.service.threads import Feed, Ticker
 from asterism.server.sources.paced import paced
 from asterism.server.sources.session_clock import SessionClock
+from asterism.server.sources.simulated import Simulated
 from asterism.server.sources.source import LiveSource, Source
 
 STATUS_EVERY_S = 1.0
@@ -102,7 +103,10 @@ class Run:
         has joined to those before. Raises what the source raises; what was recorded by then is kept.
         """
         source = self.source
-        frames = source.frames() if source.live else paced(source.frames(), rate_hz, self.stop, self.clock)
+        if isinstance(source, Simulated) and source.common:
+            frames = source.by_the_clock(rate_hz, self.stop, self.clock)
+        else:
+            frames = source.frames() if source.live else paced(source.frames(), rate_hz, self.stop, self.clock)
         with ExitStack() as stack:
             feed = Feed(frames, source.live)
             stack.callback(feed.close)

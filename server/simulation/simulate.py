@@ -8,21 +8,25 @@ Frames depend on the scene and their index alone, so any frame can be rendered o
 """
 
 import math
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.protocol.constellation import LEDS
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.rig import Rig
 from asterism.server.compiled import compiled
 from asterism.server.pose.lens import lens_of, project_point
+from asterism.server.simulation.drive import Drive
+from asterism.server.simulation.table import drives, table_of
+from asterism.server.simulation.view import reach_of
 
 DEFAULT_LED_RADIUS = 0.0025  # m, where the rig does not say
-CLEARANCE = 0.03  # m, of the LEDs above the surface
-SPEED = 0.12  # m/s, of the robots
 PATCH_SIGMAS = 5.0  # reach of a point's light
 NOISE_BANK = 4  # frames of background noise that are drawn from
 
@@ -53,73 +57,41 @@ class Truth:
 
 
 class Scene:
-    """The rig's robots on a curved surface in front of its camera."""
+    """The rig's robots on a curved surface before its camera; `table` says which one."""
 
     def __init__(self, rig: Rig, seed: int = 0, look: Look | None = None) -> None:
         self.rig = rig
         self.seed = seed
         self.look = look or Look()
         self.lens = lens_of(rig.camera)
+        self.reach = reach_of(rig.camera)
         self.line_s = 1e-6 * rig.capture.line_time_us
-        self.T_camera_table, distance = _table(rig)
-        rng = np.random.default_rng([seed, 1])
-        n = len(rig.robots)
-        camera = rig.camera
-        largest = max(robot.extent for robot in rig.robots)
-        # The part of the surface that is in view, shrunk so that whole robots stay in it.
-        half_x = max(0.46 * camera.width / camera.matrix[0, 0] * distance - 0.6 * largest, 0.05)
-        half_y = max(0.46 * camera.height / camera.matrix[1, 1] * distance - 0.6 * largest, 0.05)
-        columns = max(1, min(n, round(math.sqrt(n * half_x / half_y))))
-        rows = math.ceil(n / columns)
-        cell_x, cell_y = 2 * half_x / columns, 2 * half_y / rows
-        index = np.arange(n)
-        self.centres = np.column_stack(
-            [
-                -half_x + (index % columns + 0.5) * cell_x,
-                -half_y + (index // columns + 0.5) * cell_y,
-            ]
-        )
-        room = max(0.5 * min(cell_x, cell_y) - 0.62 * largest, 0.0)
-        self.swing = np.column_stack([np.full(n, room), room * rng.uniform(0.5, 1.0, n)])
-        self.phase = rng.uniform(0, 2 * math.pi, (n, 3))
-        self.pulse = SPEED / max(room, 0.02) * rng.uniform(0.6, 1.0, n)  # rad/s
-        self.led_brightness = rng.uniform(0.88, 1.12, (n, 6))
-        self.half_width = half_x
+        self.table = table_of(rig)
+        # On the common table it must not matter in which order a rig has its robots; its cameras have noise of their
+        # own for the same seed.
+        common = self.table.common
+        driving = [k for k, robot in enumerate(rig.robots) if drives(rig, robot)]
+        order = sorted(driving, key=lambda k: rig.robots[k].id) if common else driving
+        self._own = (zlib.crc32(rig.camera.name.encode()),) if common else ()
+        self._drive = Drive([rig.robots[k] for k in order], seed, self.table.half)
+        self._driver = {k: number for number, k in enumerate(order)}
+        self.led_brightness = np.ones((len(rig.robots), LEDS))
+        self.led_brightness[order] = self._drive.led_brightness
         radius = max(robot.led_radius or DEFAULT_LED_RADIUS for robot in rig.robots)
-        self._quadrature = quadrature(1.2 * radius * float(camera.matrix[0, 0]) / distance, self.look.psf_px)
-        self._bank = self._noise_bank()
-
-    def surface(self, x: float, y: float) -> tuple[float, float, float]:
-        """Height of the surface at (x, y) of the table, m, and its slopes: a free-form workpiece."""
-        size = max(self.half_width, 0.1)
-        rise = 0.16 * size
-        k = 2.1 / size
-        height = rise * math.cos(k * x) * math.cos(0.8 * k * y)
-        slope_x = -rise * k * math.sin(k * x) * math.cos(0.8 * k * y)
-        slope_y = -rise * 0.8 * k * math.cos(k * x) * math.sin(0.8 * k * y)
-        return height, slope_x, slope_y
+        self._quadrature = quadrature(
+            1.2 * radius * float(rig.camera.matrix[0, 0]) / self.table.distance, self.look.psf_px
+        )
 
     def pose(self, index: int, time_s: float) -> Pose:
         """T_camera_robot of a robot at a time."""
-        robot = self.rig.robots[index]
-        a = self.phase[index, 0] + self.pulse[index] * time_s
-        b = self.phase[index, 1] + 2.0 * self.pulse[index] * time_s
-        x = float(self.centres[index, 0] + self.swing[index, 0] * math.sin(a))
-        y = float(self.centres[index, 1] + 0.5 * self.swing[index, 1] * math.sin(b))
-        height, slope_x, slope_y = self.surface(x, y)
-        normal = np.array([-slope_x, -slope_y, 1.0]) / math.sqrt(1 + slope_x**2 + slope_y**2)
-        heading = self.phase[index, 2] + 0.6 * math.sin(a) + 0.25 * self.pulse[index] * time_s
-        forward = np.array([math.cos(heading), math.sin(heading), 0.0])
-        forward -= (forward @ normal) * normal
-        forward /= np.linalg.norm(forward)
-        turn = np.column_stack([forward, np.cross(normal, forward), normal])
-        T_table_plane = Pose.from_matrix(turn, np.array([x, y, height]) + CLEARANCE * normal)
-        return self.T_camera_table @ T_table_plane @ robot.T_robot_plane.inverse()
+        fixed, T_world_camera = self.rig.robots[index].T_world_fixed, self.rig.T_world_camera
+        if fixed is not None and T_world_camera is not None:
+            return T_world_camera.inverse() @ fixed
+        return self.table.T_camera_table @ self._drive.pose(self._driver[index], time_s)
 
     def truth(self, index: int, time_s: float) -> list[Truth]:
         """Every robot in frame ``index``, taken at ``time_s``."""
-        rng = np.random.default_rng([self.seed, 2, index])
-        lit = rng.random((len(self.rig.robots), 6)) >= self.look.hidden
+        lit = self._rng(2, index).random((len(self.rig.robots), LEDS)) >= self.look.hidden
         return [self._truth(k, time_s, tuple(lit[k].tolist())) for k in range(len(lit))]
 
     def _truth(self, k: int, time_s: float, lit: tuple[bool, ...]) -> Truth:
@@ -131,18 +103,15 @@ class Scene:
     def render(self, index: int, truth: list[Truth]) -> NDArray[np.uint8]:
         """The image (h, w) uint8 of frame ``index`` with the robots where ``truth`` says."""
         look, camera = self.look, self.rig.camera
-        rng = np.random.default_rng([self.seed, 3, index])
+        rng = self._rng(3, index)
         image = self._background(rng)
         light = np.zeros((64, 64))
         for k, entry in enumerate(truth):
             robot = self.rig.robots[k]
             radius = robot.led_radius or DEFAULT_LED_RADIUS
-            for number in range(len(robot.leds)):
-                pose = self._seen(entry, robot.leds[number])
-                led, turn = pose.map(robot.leds[number]), pose.rotation
-                axis, normal = turn @ robot.axis, turn @ robot.T_robot_plane.rotation[:, 2]
-                facing = -float(axis @ led) / float(np.linalg.norm(led))
-                if not entry.lit[number] or facing <= 0.0 or led[2] <= 0.0:
+            for number in range(LEDS):
+                led, axis, normal, facing = self._led(k, entry, number)
+                if not entry.lit[number] or facing <= 0.0:
                     continue
                 seen = led
                 if robot.led_offset is not None:
@@ -159,6 +128,33 @@ class Scene:
             _expose(image, patch, x0, y0, look, rng)
         return image
 
+    def visible(self, k: int, entry: Truth) -> tuple[bool, ...]:
+        """Which LEDs of robot ``k`` the image shows: those that are lit, shine to the camera and are in its view."""
+        seen = []
+        for number in range(LEDS):
+            led, _, _, facing = self._led(k, entry, number)
+            shown = entry.lit[number] and facing > 0.0
+            if shown:
+                x, y = project_point(self.lens, *led.tolist())
+                shown = -0.5 <= x < self.rig.camera.width - 0.5 and -0.5 <= y < self.rig.camera.height - 0.5
+            seen.append(shown)
+        return tuple(seen)
+
+    def _led(self, k: int, entry: Truth, number: int) -> tuple[Floats, Floats, Floats, float]:
+        """Where an LED is, where it shines, and its plane's normal, (3,) each, in the camera's frame; and the cosine of
+        the angle that it is seen from, 0 of one that the camera cannot see.
+        """
+        robot = self.rig.robots[k]
+        pose = self._seen(entry, robot.leds[number])
+        led, turn = pose.map(robot.leds[number]), pose.rotation
+        axis, normal = turn @ robot.axis, turn @ robot.T_robot_plane.rotation[:, 2]
+        facing = -float(axis @ led) / float(np.linalg.norm(led))
+        in_reach = led[2] > 0.0 and math.hypot(led[0], led[1]) < 1.1 * self.reach * led[2]
+        return led, axis, normal, facing if in_reach else 0.0
+
+    def _rng(self, *what: int) -> np.random.Generator:
+        return np.random.default_rng([self.seed, *what, *self._own])
+
     def _seen(self, entry: Truth, led: Floats) -> Pose:
         """T_camera_robot at the time at which one of the robot's LEDs (3,) is seen: that of its own row."""
         pose = entry.T_camera_robot
@@ -169,9 +165,10 @@ class Scene:
             pose = entry.after((row - 0.5 * (self.rig.camera.height - 1)) * self.line_s)
         return pose
 
-    def _noise_bank(self) -> NDArray[np.uint8]:
+    @cached_property
+    def _bank(self) -> NDArray[np.uint8]:
         camera = self.rig.camera
-        rng = np.random.default_rng([self.seed, 4])
+        rng = self._rng(4)
         shape = (NOISE_BANK, camera.height, camera.width)
         noisy = rng.standard_normal(shape, dtype=np.float32) * self.look.read_noise + self.look.background
         bank: NDArray[np.uint8] = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
@@ -183,22 +180,6 @@ class Scene:
         shift = int(rng.integers(bank.size))
         rolled: NDArray[np.uint8] = np.concatenate([bank.ravel()[shift:], bank.ravel()[:shift]]).reshape(bank.shape)
         return rolled
-
-
-def _table(rig: Rig) -> tuple[Pose, float]:
-    """T_camera_table and the camera's distance from it: the world's floor if the camera looks at it, or a table before
-    the camera.
-    """
-    near, far = rig.range_m or (1.0, 1.5)
-    middle = 0.5 * (near + far)
-    if rig.T_world_camera is not None:
-        view = rig.T_world_camera.rotation[:, 2]
-        eye = rig.T_world_camera.position
-        if view[2] < -0.3 and eye[2] > 0.05:
-            distance = float(eye[2] / -view[2])
-            T_world_table = Pose(eye + distance * view, np.array([0.0, 0.0, 0.0, 1.0]))
-            return rig.T_world_camera.inverse() @ T_world_table, distance
-    return Pose(np.array([0.0, 0.0, middle]), np.array([1.0, 0.0, 0.0, 0.0])), middle
 
 
 def _expose(image: NDArray[np.uint8], patch: Floats, x0: int, y0: int, look: Look, rng: np.random.Generator) -> None:

@@ -22,16 +22,21 @@ def paced(
     nothing. Where the clock that stamped them was set, or nothing was taken for long, the play goes on at once. Ends
     early when ``stop`` says so.
     """
-    start = time.perf_counter()
+    start_ns = time.perf_counter_ns()
     for count, (frame, played_s) in enumerate(_own_times(frames)):
-        due = start + (count / rate_hz if rate_hz is not None else played_s)
-        while (left := due - time.perf_counter()) > 0 and not stop():
-            time.sleep(min(left, 0.05))
-        if stop():
+        due_s = count / rate_hz if rate_hz is not None else played_s
+        if not wait(start_ns + round(due_s * 1e9), time.perf_counter_ns, stop):
             return
         session = clock.session
         now_ns = clock.now_ns(session)
         yield replace(frame, exposed_ns=now_ns, arrived_ns=now_ns, clock=Clock.PLAYED, session=session)
+
+
+def wait(due_ns: int, now_ns: Callable[[], int], stop: Callable[[], bool]) -> bool:
+    """Until it is due by that clock, or ``stop`` says so; returns whether to go on."""
+    while (left_ns := due_ns - now_ns()) > 0 and not stop():
+        time.sleep(min(left_ns * 1e-9, 0.05))
+    return not stop()
 
 
 def _own_times(frames: Iterator[Frame]) -> Iterator[tuple[Frame, float]]:

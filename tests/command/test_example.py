@@ -66,9 +66,9 @@ def test_its_readme_reads_what_is_there_and_writes_what_is_not(folder: Path) -> 
     whole = parser()
     for words in commands_of(folder):
         options = whole.parse_args(words)
-        needed = [getattr(options, name, None) for name in ("rig", "source")]
-        truth = getattr(options, "truth", None)
-        needed += list(truth) if isinstance(truth, list) else [truth]
+        needed = []
+        for each in (getattr(options, name, None) for name in ("rig", "source", "truth")):
+            needed += each if isinstance(each, list) else [each]
         if target := getattr(options, "target", None):
             needed.append(target.partition(":")[2])
         for name in filter(None, needed):

@@ -1,0 +1,1 @@
+"""Where several cameras stand, from robots that two or more of them see."""

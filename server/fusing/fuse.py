@@ -1,0 +1,194 @@
+"""The frames of several cameras joined, exposure by exposure: the pure function at the heart of `asterism fuse`.
+
+Of every exposure: the newest frames of all cameras that are not too old (`memory`), whose spots are whose (`claims`),
+each robot's pose from all its rays (`solution`), cameras that contradict the others left out (`disagree`, `places`),
+what is learned of the robots' LEDs (`misfit`) and motion (`follow`) for the next.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from asterism.server.chain.answers import NO_POSE
+from asterism.server.fusing.claims import Claim, claims_of
+from asterism.server.fusing.disagree import misplaced_text, off_of, sorted_out
+from asterism.server.fusing.fleet import Fleet
+from asterism.server.fusing.follow import Courses, Look, follow
+from asterism.server.fusing.fused import Fused, FusedPose
+from asterism.server.fusing.gather import Sight, Wanted
+from asterism.server.fusing.memory import Foresight, Joint, Known
+from asterism.server.fusing.misfit import is_due, looked_at
+from asterism.server.fusing.passed import passed_through
+from asterism.server.fusing.places import Places, add_ties, judged
+from asterism.server.fusing.sighting import Sighting
+from asterism.server.fusing.solution import Solution, likelier, solutions, tilt_squares, unlike_starts
+from asterism.server.pose.solve import Lost
+from asterism.server.pose.track import MOST_EVIDENCE, TILT_MEMORY
+
+FRAME_S = 1.0 / 60.0  # TILT_MEMORY is for
+KEPT_S = 3.0  # how long residuals count
+USUAL_FREEDOM = 300.0  # of the belief that spots are as uncertain as they say
+LEAST_SCALE, MOST_SCALE = 0.8, 4.0
+
+
+def fuse(sightings: Sequence[Sighting], fleet: Fleet, before: Joint) -> tuple[Fused, Joint]:
+    """Every robot at one exposure, from all cameras' newest frames; the same arguments give the same results.
+
+    ``sightings`` are those of the cameras that exposed at exactly that time, one or more. ``before`` is what fusing
+    the exposures before handed back, `Joint.none()` at first.
+    """
+    exposed_ns = sightings[0].exposed_ns
+    joint = before.hearing(sightings, tuple(fleet.robots))
+    current = joint.counting(exposed_ns)
+    foresight = Foresight(joint, exposed_ns)
+    claims = claims_of(fleet, current, foresight)
+    courses = joint.courses_before(min(sighting.exposed_ns for sighting in current))
+    line = _Line(joint, Sight(fleet, current, exposed_ns, courses), foresight)
+    line.solve({robot: claim for robot, claim in claims.items() if isinstance(claim, Claim)})
+    answers = {
+        robot: claim if isinstance(claim, Lost) else line.answers.get(robot, Lost(NO_POSE))
+        for robot, claim in claims.items()
+    }
+    cameras = tuple(sorted(sighting.camera for sighting in sightings))
+    courses = line.followed(joint.courses_before(exposed_ns))
+    return Fused(exposed_ns, cameras, answers), joint.then(exposed_ns, courses, line.known, line.places)
+
+
+class _Line:
+    """One exposure being solved: its answers, and what is known of robots and places after it."""
+
+    def __init__(self, joint: Joint, sight: Sight, foresight: Foresight) -> None:
+        self.sight, self.foresight = sight, foresight
+        self.answers: dict[str, FusedPose] = {}
+        self.known: dict[str, Known] = dict(joint.known)
+        self.places: Places = joint.places.later(sight.names, sight.exposed_ns)
+        self._rests: dict[str, tuple[FusedPose, Solution | None]] = {}
+        self._before = joint.known
+
+    def solve(self, claims: Mapping[str, Claim]) -> None:
+        """Answer for all robots that have spots."""
+        alone: list[tuple[Claim, Wanted]] = []
+        shared: list[tuple[Claim, Wanted]] = []
+        for claim in claims.values():
+            wanted = self._wanted(claim)
+            (alone if len(wanted.spots) == 1 else shared).append((claim, wanted))
+        for claim, wanted in alone:
+            self._pass(wanted, claim)
+        found = solutions([wanted for _, wanted in shared], self.sight)
+        for (claim, wanted), one in zip(shared, found, strict=True):
+            self._join(wanted, claim, one)
+        self._compare(claims)
+
+    def _wanted(self, claim: Claim) -> Wanted:
+        """The claim without cameras that are misplaced, if others see the robot."""
+        known = self.known.get(claim.robot, Known())
+        spots = {name: of for name, of in claim.spots.items() if name not in self.places.misplaced}
+        return Wanted(claim.robot, spots or claim.spots, claim.starts[0], known.misfit_m)
+
+    def _pass(self, wanted: Wanted, claim: Claim) -> None:
+        known = self.known.get(wanted.robot, Known())
+        passed = passed_through(wanted, self.sight, self.foresight, self._evidence(known))
+        if passed is not None:
+            told, evidence = passed
+            self._tell(wanted.robot, self._with_misplaced(told, claim, None), None, evidence)
+
+    def _join(self, wanted: Wanted, claim: Claim, found: Solution | None) -> None:
+        known = self.known.get(wanted.robot, Known())
+        if is_due(known, self.sight.exposed_ns):
+            start = wanted.start if found is None else found.pose
+            known = self.known[wanted.robot] = looked_at(replace(wanted, start=start), self.sight, known)
+            wanted = replace(wanted, misfit_m=known.misfit_m)
+            (found,) = solutions([wanted], self.sight)
+        others = [replace(wanted, start=start) for start in unlike_starts(claim.starts)[1:]]
+        tried = [found, *solutions(others, self.sight)]
+        best = likelier(tried, self._leaning(tried, known))
+        if best is None:
+            return
+        told, rests = sorted_out(best, self.sight, _scale(known), self.foresight)
+        self._tell(wanted.robot, self._with_misplaced(told, claim, rests), rests, best.evidence)
+
+    def _leaning(self, tried: Sequence[Solution | None], known: Known) -> list[float]:
+        """Nats that what was known before has for each of a robot's tilts."""
+        evidence, leaning = self._evidence(known), [0.0] * len(tried)
+        if len(tried) < 2 or evidence == 0.0:
+            return leaning
+        for k, one in enumerate(tried):
+            foreseen = self.foresight(one.wanted.robot, self.sight.exposed_ns) if one is not None else None
+            if one is not None and foreseen is not None:
+                leaning[k] = -min(0.5 * tilt_squares(foreseen.pose, one.pose), evidence)
+        return leaning
+
+    def _evidence(self, known: Known) -> float:
+        """What is left of the evidence for the tilt that was known."""
+        gone_s = (self.sight.exposed_ns - known.seen_ns) * 1e-9
+        return known.evidence * TILT_MEMORY ** (gone_s / FRAME_S) if 0.0 < gone_s < 1.0 else 0.0
+
+    def _with_misplaced(self, told: FusedPose, claim: Claim, rests: Solution | None) -> FusedPose:
+        """With what is said of cameras that are misplaced and see the robot."""
+        said = {name: misplaced_text(self.places.misplaced[name]) for name in claim.spots
+                if name in self.places.misplaced and name not in told.cameras}  # fmt: skip
+        if rests is not None and said:
+            said |= off_of(sorted(said), claim.spots, rests, self.sight)
+        return replace(told, left_out={**told.left_out, **said}) if said else told
+
+    def _tell(self, robot: str, told: FusedPose, rests: Solution | None, evidence: float) -> None:
+        self.answers[robot] = told
+        self._rests[robot] = told, rests
+        known, exposed_ns = self.known.get(robot, Known()), self.sight.exposed_ns
+        chi2, freedom = known.chi2, known.freedom
+        if rests is not None:
+            gone_s = (exposed_ns - known.seen_ns) * 1e-9
+            keep = math.exp(-gone_s / KEPT_S) if 0.0 <= gone_s < KEPT_S else 0.0
+            chi2, freedom = keep * chi2 + rests.cost, keep * freedom + rests.freedom
+        self.known[robot] = replace(
+            known, cameras=told.cameras, evidence=min(evidence, MOST_EVIDENCE), chi2=chi2, freedom=freedom,
+            seen_ns=exposed_ns,
+        )  # fmt: skip
+
+    def _compare(self, claims: Mapping[str, Claim]) -> None:
+        """Add to what is known of the cameras' places what their rays tell, whether they are left out or not."""
+        wanted = [
+            Wanted(robot, claims[robot].spots, told.pose, self.known[robot].misfit_m)
+            for robot, (told, _) in self._rests.items()
+            if len(claims[robot].spots) > 1
+        ]
+        if len(self.sight.names) < 3 or not wanted:
+            return
+        bundle, motion, poses = self.sight.bundle(wanted)
+        normal, right = self.places.normal.copy(), self.places.right.copy()
+        eyes, bodies = self.sight.eyes, self.sight.bodies
+        count, stays = add_ties(eyes, bodies, bundle, motion, poses, normal, right)
+        places = replace(
+            self.places, normal=normal, right=right, ties=self.places.ties + count, stays=self.places.stays + stays
+        )
+        self.places = judged(places, eyes.places, len(wanted))
+
+    def followed(self, courses: Courses) -> Courses:
+        """How the robots move after this exposure."""
+        if not self._rests:
+            return courses
+        courses, exposures = courses.copied(), {name: s.exposed_ns for name, s in self.sight.sightings.items()}
+        robots, noise, wider = [], [], []
+        for robot, (told, rests) in self._rests.items():
+            own = told.covariance if rests is None else rests.noise
+            # Rays of a camera's frame count in every exposure until its next.
+            times = len({exposures[name] for name in told.cameras})
+            before = self._before.get(robot, Known()).cameras
+            robots.append(self.sight.robots[robot])
+            noise.append(times * own)
+            wider.append(np.zeros((6, 6)) if before == told.cameras else 2.0 * told.covariance)
+        poses = [told.pose for told, _ in self._rests.values()]
+        look = Look(
+            np.array(robots), np.array([pose.rotation for pose in poses]), np.array([pose.position for pose in poses]),
+            np.array(noise), np.array(wider),
+        )  # fmt: skip
+        follow(courses, look, self.sight.exposed_ns)
+        return courses
+
+
+def _scale(known: Known) -> float:
+    """What residuals so far say of variances that spots tell."""
+    told = (known.chi2 + USUAL_FREEDOM) / (known.freedom + USUAL_FREEDOM)
+    return min(max(told, LEAST_SCALE), MOST_SCALE)

@@ -1,0 +1,416 @@
+"""Poses of robots nobody knows: three spots of one camera as three LEDs, borne out by the spots of all cameras.
+
+Any three spots are three LEDs of any robot, in two poses. What makes one of them the robot's is that its other LEDs lie
+where spots are, in the other cameras above all. So first only those triples are tried near whose line of sight other
+cameras see enough spots, and only such poses whose distance these allow.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from asterism.protocol.geometry import Floats
+from asterism.server.centres.blobs import Ints
+from asterism.server.compiled import compiled
+from asterism.server.fusing.look import Body, fit, noise_of
+from asterism.server.fusing.near_spots import GATE, gate_of, spread_in
+from asterism.server.fusing.three_points import three_points
+from asterism.server.pose.fit import LEDS
+from asterism.server.pose.planar import NO_SOLUTION
+
+LEAST = 6  # LEDs seen, in all cameras together, that make a robot
+MOST_TRIPLES = 2048
+AROUND = 0.75  # of a constellation's extent: how far from its middle its LEDs are at most
+NEAR = 0.2  # of it: how far off another camera's spot may be while the pose of three is rough
+
+
+class Sought(NamedTuple):
+    """R robots: ``layouts`` (R, 6, 3) m, ``optics`` (R, C, OPTICS), ``misfits`` (R,), ``systematic`` (R, C),
+    ``extents`` (R,) m.
+    """
+
+    layouts: Floats
+    optics: Floats
+    misfits: Floats
+    systematic: Floats
+    extents: Floats
+
+
+class Guesses(NamedTuple):
+    """Poses that at least LEAST spots bear out: ``who`` (k, 9): robot, camera, three spots, three LEDs, and how many
+    sets of three spots stand there; ``rotations`` (k, 3, 3), ``ts`` (k, 3), and ``seen`` (k,) spots, -1 for no guess.
+    """
+
+    who: Ints
+    rotations: Floats
+    ts: Floats
+    seen: Ints
+
+
+def room_to_guess(most: int) -> Guesses:
+    """Room for so many."""
+    return Guesses(
+        np.zeros((most, 9), np.int64), np.zeros((most, 3, 3)), np.zeros((most, 3)), np.full(most, -1, np.int64)
+    )
+
+
+class Limits(NamedTuple):
+    """Distances ``near`` and ``far`` (C,) m within which robots are looked for, and how many poses are tried at
+    ``most``, from triple number ``start`` on, round and round.
+    """
+
+    near: Floats
+    far: Floats
+    most: int
+    start: int
+
+
+@compiled
+def _directions(scene, out):
+    """Fill ``out`` (n, 3): unit vectors along the rays, in the cameras' frames."""
+    for k in range(scene.rays.shape[0]):
+        x, y = scene.rays[k, 0], scene.rays[k, 1]
+        per = 1.0 / math.sqrt(x * x + y * y + 1.0)
+        out[k, 0], out[k, 1], out[k, 2] = x * per, y * per, per
+
+
+@compiled
+def _list_triples(scene, free, directions, reach, triples):
+    """Fill ``triples`` (m, 4): camera and three of its free spots within reach of each other; returns how many."""
+    count = 0
+    for c in range(scene.turns.shape[0]):
+        for i in range(scene.first[c], scene.first[c + 1]):
+            if not free[i]:
+                continue
+            for j in range(i + 1, scene.first[c + 1]):
+                if not free[j] or not _within(directions, i, j, reach[c]):
+                    continue
+                for k in range(j + 1, scene.first[c + 1]):
+                    if (
+                        not free[k]
+                        or not _within(directions, i, k, reach[c])
+                        or not _within(directions, j, k, reach[c])
+                    ):
+                        continue
+                    if count == triples.shape[0]:
+                        return count
+                    triples[count, 0], triples[count, 1], triples[count, 2], triples[count, 3] = c, i, j, k
+                    count += 1
+    return count
+
+
+@compiled
+def _within(directions, i, j, reach):
+    away2 = 0.0
+    for axis in range(3):
+        away2 += (directions[i, axis] - directions[j, axis]) ** 2
+    return away2 < reach * reach
+
+
+@compiled
+def _world(scene, c, direction, out):
+    """Fill ``out`` (3,): a direction of camera c in the world."""
+    for i in range(3):
+        out[i] = 0.0
+        for j in range(3):
+            out[i] += scene.turns[c, j, i] * direction[j]
+
+
+@compiled
+def _supports(scene, free, directions, home, middle, extent, limits, depths, slack):
+    """Where other cameras' spots pass the line of sight ``middle`` (3,) of camera ``home``: fills their ``depths``
+    along it and by how much a robot's own may be another, ``slack``, m; returns how many there are.
+    """
+    line, other = np.empty(3), np.empty(3)
+    _world(scene, home, middle, line)
+    count = 0
+    for c in range(scene.turns.shape[0]):
+        if c == home:
+            continue
+        wx = scene.origins[home, 0] - scene.origins[c, 0]
+        wy = scene.origins[home, 1] - scene.origins[c, 1]
+        wz = scene.origins[home, 2] - scene.origins[c, 2]
+        for spot in range(scene.first[c], scene.first[c + 1]):
+            if not free[spot]:
+                continue
+            _world(scene, c, directions[spot], other)
+            b = line[0] * other[0] + line[1] * other[1] + line[2] * other[2]
+            d = line[0] * wx + line[1] * wy + line[2] * wz
+            e = other[0] * wx + other[1] * wy + other[2] * wz
+            sine2 = 1.0 - b * b
+            if sine2 < 1e-4:
+                continue
+            depth, there = (b * e - d) / sine2, (e - b * d) / sine2
+            if not (depth > 0.0 and there > 0.0):
+                continue
+            gap2 = 0.0
+            for i in range(3):
+                w = wx if i == 0 else (wy if i == 1 else wz)
+                gap2 += (w + depth * line[i] - there * other[i]) ** 2
+            wide = AROUND * extent
+            if gap2 < wide * wide and limits.near[home] - extent < depth < limits.far[home] + extent:
+                depths[count], slack[count] = depth, wide / math.sqrt(sine2)
+                count += 1
+    return count
+
+
+@compiled
+def _agreeing(depths, slack, count, depth):
+    """How many of the other cameras' spots may belong to a robot at that distance."""
+    agreeing = 0
+    for k in range(count):
+        if abs(depths[k] - depth) < slack[k]:
+            agreeing += 1
+    return agreeing
+
+
+@compiled
+def _nearest(depths, slack, count, needed):
+    """The least distance at which enough of the other cameras' spots may belong to a robot; inf if there is none."""
+    nearest = np.inf
+    for k in range(count):
+        for end in (-0.999, 0.999):
+            depth = depths[k] + end * slack[k]
+            if depth < nearest and _agreeing(depths, slack, count, depth) >= needed:
+                nearest = depth
+    return nearest
+
+
+@compiled
+def _at_home(scene, free, directions, triple, reach):
+    """How many free spots of its own camera stand within reach of a triple."""
+    count = 0
+    for spot in range(scene.first[triple[0]], scene.first[triple[0] + 1]):
+        near = free[spot]
+        for k in range(1, 4):
+            near = near and _within(directions, spot, triple[k], reach)
+        if near:
+            count += 1
+    return count
+
+
+@compiled
+def _seen_roughly(scene, free, home, layout, extent, rotation, t):
+    """How many LEDs of a pose T_home_plane have a free spot near them in the other cameras, roughly."""
+    at, point = np.empty(3), np.empty(3)
+    count = 0
+    for c in range(scene.turns.shape[0]):
+        if c == home:
+            continue
+        for led in range(LEDS):
+            for i in range(3):
+                at[i] = t[i]
+                for j in range(3):
+                    at[i] += rotation[i, j] * layout[led, j]
+            for i in range(3):
+                point[i] = scene.origins[home, i] - scene.origins[c, i]
+                for j in range(3):
+                    point[i] += scene.turns[home, j, i] * at[j]
+            x = y = z = 0.0
+            for j in range(3):
+                x += scene.turns[c, 0, j] * point[j]
+                y += scene.turns[c, 1, j] * point[j]
+                z += scene.turns[c, 2, j] * point[j]
+            if not z > 1e-3:
+                continue
+            x, y, near2 = x / z, y / z, (NEAR * extent / z) ** 2
+            for spot in range(scene.first[c], scene.first[c + 1]):
+                if free[spot] and (scene.rays[spot, 0] - x) ** 2 + (scene.rays[spot, 1] - y) ** 2 < near2:
+                    count += 1
+                    break
+    return count
+
+
+@compiled
+def _seen_surely(scene, body, free, room, prior):
+    """How many LEDs have a free spot within their gates, in all cameras; of no camera more than it has such spots."""
+    spread, gate = np.empty((6, 6)), np.empty(3)
+    count = 0
+    for c in range(scene.turns.shape[0]):
+        start, end = scene.first[c], scene.first[c + 1]
+        if start == end:
+            continue
+        spread_in(scene, room, c, prior, spread)
+        hit = np.zeros(end - start, np.bool_)
+        leds = 0
+        for led in range(LEDS):
+            if room.visible[c, led] == 0.0:
+                continue
+            gate_of(room, c, led, spread, gate)
+            some = False
+            for spot in range(start, end):
+                if not free[spot]:
+                    continue
+                nxx, nxy, nyy = noise_of(scene, body, c, spot, room.depths[c, led])
+                xx, xy, yy = gate[0] + nxx, gate[1] + nxy, gate[2] + nyy
+                x, y = scene.rays[spot, 0] - room.rays[c, led, 0], scene.rays[spot, 1] - room.rays[c, led, 1]
+                if yy * x * x - 2.0 * xy * x * y + xx * y * y < GATE * (xx * yy - xy * xy):
+                    some = hit[spot - start] = True
+            if some:
+                leds += 1
+        count += min(leds, int(np.sum(hit)))
+    return count
+
+
+@compiled
+def _keep(guesses, seen, who, rotation, t):
+    """Keep a guess in place of the one that fewest spots bear out, if those are fewer."""
+    least = 0
+    for k in range(guesses.seen.shape[0]):
+        if guesses.seen[k] < guesses.seen[least]:
+            least = k
+    if guesses.seen[least] >= seen:
+        return
+    guesses.seen[least] = seen
+    guesses.who[least] = who
+    guesses.rotations[least] = rotation
+    guesses.ts[least] = t
+
+
+@compiled
+def guess(scene, sought, course, free, limits, state, prior, room, guesses):
+    """Fill the `Guesses` from the ``free`` (n,) spots of all cameras; returns how many poses were tried, and
+    of how many triples, -1 for all.
+
+    ``state`` and ``prior`` (`look.State`) and ``room`` are scratch, the prior with information 0.
+    """
+    n = scene.rays.shape[0]
+    cameras = scene.turns.shape[0]
+    directions = np.empty((n, 3))
+    _directions(scene, directions)
+    largest = 0.0
+    for robot in range(sought.extents.shape[0]):
+        largest = max(largest, sought.extents[robot])
+    reach = np.empty(cameras)
+    for c in range(cameras):
+        reach[c] = largest / limits.near[c]
+    triples = np.empty((MOST_TRIPLES, 4), np.int64)
+    count = _list_triples(scene, free, directions, reach, triples)
+    depths, slack, middle = np.empty(n), np.empty(n), np.empty(3)
+    tried = 0
+    for turn in range(count):
+        if tried >= limits.most:
+            return tried, turn
+        triple = triples[(limits.start + turn) % count]
+        home = triple[0]
+        at_home = _at_home(scene, free, directions, triple, reach[home])
+        for axis in range(3):
+            middle[axis] = (
+                directions[triple[1], axis] + directions[triple[2], axis] + directions[triple[3], axis]
+            ) / 3.0
+        per = 1.0 / math.sqrt(middle[0] ** 2 + middle[1] ** 2 + middle[2] ** 2)
+        for axis in range(3):
+            middle[axis] *= per
+        supports = _supports(scene, free, directions, home, middle, largest, limits, depths, slack)
+        needed = max(LEAST - min(at_home, LEDS), 1)
+        if supports < needed:
+            continue
+        nearest = max(_nearest(depths, slack, supports, needed), limits.near[home])
+        if not nearest < limits.far[home]:
+            continue
+        for robot in range(sought.extents.shape[0]):
+            tried += _try_robot(
+                scene, sought, course, free, limits, state, prior, room, guesses, robot, triple, directions,
+                (depths, slack, supports, needed, at_home, nearest),
+            )  # fmt: skip
+    return tried, -1
+
+
+@compiled
+def _try_robot(
+    scene, sought, course, free, limits, state, prior, room, guesses, robot, triple, directions, told,
+):  # fmt: skip
+    """Try three spots as any three LEDs of a robot; returns how many poses that were."""
+    depths, slack, supports, needed, at_home, nearest = told
+    home = triple[0]
+    extent, layout = sought.extents[robot], sought.layouts[robot]
+    body = Body(layout, sought.optics[robot], sought.misfits[robot], sought.systematic[robot])
+    seen, points = np.empty((3, 3)), np.empty((3, 3))
+    rotations, ts = np.empty((2, 3, 3)), np.empty((2, 3))
+    labels = np.full((scene.turns.shape[0], LEDS), -1, np.int64)
+    who = np.empty(9, np.int64)
+    for k in range(3):
+        for axis in range(3):
+            seen[k, axis] = directions[triple[1 + k], axis]
+    det = (
+        seen[0, 0] * (seen[1, 1] * seen[2, 2] - seen[1, 2] * seen[2, 1])
+        - seen[0, 1] * (seen[1, 0] * seen[2, 2] - seen[1, 2] * seen[2, 0])
+        + seen[0, 2] * (seen[1, 0] * seen[2, 1] - seen[1, 1] * seen[2, 0])
+    )
+    # Sides that are so long at least, wherever the robot is: the LEDs that they join are as far apart.
+    side = max(nearest - 0.5 * extent, 0.0)
+    ab, bc = side * _chord(seen, 0, 1), side * _chord(seen, 1, 2)
+    ac = side * _chord(seen, 0, 2)
+    if max(ab, ac, bc) > extent:
+        return 0
+    tried = 0
+    for a in range(LEDS):
+        for b in range(LEDS):
+            if b == a or _between(layout, a, b) < ab:
+                continue
+            for c in range(LEDS):
+                if c in (a, b) or _between(layout, a, c) < ac or _between(layout, b, c) < bc:
+                    continue
+                across = (layout[b, 0] - layout[a, 0]) * (layout[c, 1] - layout[a, 1])
+                across -= (layout[b, 1] - layout[a, 1]) * (layout[c, 0] - layout[a, 0])
+                # Seen from in front, the plate's side that shines: the triangle runs the other way round.
+                if across * det >= 0.0:
+                    continue
+                for axis in range(3):
+                    points[0, axis], points[1, axis] = layout[a, axis], layout[b, axis]
+                    points[2, axis] = layout[c, axis]
+                found = three_points(seen, points, rotations, ts)
+                for which in range(found):
+                    tried += 1
+                    t = ts[which]
+                    away = math.sqrt(t[0] ** 2 + t[1] ** 2 + t[2] ** 2)
+                    if not limits.near[home] < away < limits.far[home]:
+                        continue
+                    facing = (
+                        rotations[which, 0, 2] * t[0] + rotations[which, 1, 2] * t[1] + rotations[which, 2, 2] * t[2]
+                    )
+                    if not facing < -0.25 * away or _agreeing(depths, slack, supports, away) < needed:
+                        continue
+                    if _seen_roughly(scene, free, home, layout, extent, rotations[which], t) < needed:
+                        continue
+                    _in_world(scene, home, rotations[which], t, state)
+                    labels[home, :] = -1
+                    labels[home, a], labels[home, b], labels[home, c] = triple[1], triple[2], triple[3]
+                    chi2, _ = fit(scene, body, course, labels, prior, state, 1, room)
+                    if chi2 >= NO_SOLUTION:
+                        continue
+                    count = _seen_surely(scene, body, free, room, prior.information)
+                    if count < LEAST:
+                        continue
+                    who[0], who[1], who[2], who[3], who[4] = robot, home, triple[1], triple[2], triple[3]
+                    who[5], who[6], who[7] = a, b, c
+                    who[8] = at_home * (at_home - 1) * (at_home - 2) // 6
+                    _keep(guesses, count, who, state.rotation, state.t)
+    return tried
+
+
+@compiled
+def _chord(directions, i, j):
+    return math.sqrt(
+        (directions[i, 0] - directions[j, 0]) ** 2
+        + (directions[i, 1] - directions[j, 1]) ** 2
+        + (directions[i, 2] - directions[j, 2]) ** 2
+    )
+
+
+@compiled
+def _between(layout, i, j):
+    return math.hypot(layout[i, 0] - layout[j, 0], layout[i, 1] - layout[j, 1])
+
+
+@compiled
+def _in_world(scene, home, rotation, t, state):
+    """Fill the state with T_world_plane of a pose in the frame of camera ``home``."""
+    for i in range(3):
+        state.t[i] = scene.origins[home, i]
+        for j in range(3):
+            state.t[i] += scene.turns[home, j, i] * t[j]
+            state.rotation[i, j] = 0.0
+            for k in range(3):
+                state.rotation[i, j] += scene.turns[home, k, i] * rotation[k, j]
