@@ -15,6 +15,7 @@ from asterism.protocol.messages import STATUS, Message
 from asterism.server.fusing.fused import Fused, FusedPose
 
 WINDOW_NS = 1_000_000_000
+FEW = 4  # robots that are named in a sentence
 SHARE = 0.2  # of the exposures of a robot in the last second: who is left out of more contradicts
 
 
@@ -79,9 +80,11 @@ class FusedHealth:
         told: dict[str, list[str]] = {}
         for (camera, robot), count in sorted(counts.items()):
             if count > SHARE * located[robot]:
-                told.setdefault(camera, []).append(f"{robot} {newest[camera, robot]}")
+                told.setdefault(camera, []).append(robot)
         return [
-            f"camera '{camera}' contradicts the others and is left out: {'; '.join(of)}" for camera, of in told.items()
+            f"camera '{camera}' contradicts the others and is left out for {_few(robots)}: {robots[0]}: "
+            f"{newest[camera, robots[0]]}"
+            for camera, robots in told.items()
         ]
 
     def lines(self) -> list[str]:
@@ -123,3 +126,9 @@ class FusedHealth:
         oldest = self._monotonic() - WINDOW_NS
         while self._recent and self._recent[0].out_ns < oldest:
             self._recent.popleft()
+
+
+def _few(robots: list[str]) -> str:
+    """The first of them by name, how many the others are."""
+    more = len(robots) - FEW
+    return ", ".join(robots[:FEW]) + (f" and {more} more" if more > 0 else "")

@@ -24,6 +24,7 @@ from asterism.server.service.fusing.ears import Answers, Ears, Heard
 from asterism.server.service.fusing.health import FusedHealth
 from asterism.server.service.fusing.host_clocks import HostClocks, told_apart
 from asterism.server.service.fusing.order import Order, Waiting
+from asterism.server.service.fusing.ways import Ways, told_of_times
 from asterism.server.service.live_line import Now
 from asterism.server.service.publish import Publisher
 from asterism.server.service.say import say
@@ -68,6 +69,7 @@ class Joining:
         self._order: Order[_Report] = Order()
         self._joint = Joint.none()
         self._clocks = HostClocks()
+        self._ways = Ways()
         self._astray: set[str] = set()
         self._events = Events("fused")
         self._systemd = Systemd()
@@ -144,6 +146,7 @@ class Joining:
             self._astray, self._order = astray, Order()
         if heard.camera in astray:
             return
+        self._ways.add(heard.camera, told)
         report = _Report(sighting, told.clock)
         if not self._order.add(heard.camera, Waiting(told.exposed_ns, heard.arrived_ns, report)):
             self.health.late += 1
@@ -205,6 +208,7 @@ class Joining:
         """What was remembered of that camera is of another session, or another rig."""
         self._order.forget(camera)
         self._clocks.forget(camera)
+        self._ways.forget(camera)
         paces = {name: pace for name, pace in self._joint.paces.items() if name != camera}
         self._joint = replace(self._joint, paces=paces, places=Places())
 
@@ -218,7 +222,9 @@ class Joining:
         problems = self.cameras.problems(time.monotonic_ns())
         if not self.cameras.fleet.views and not problems:
             problems = [f"no camera is heard at {self._places}"]
-        problems += told_apart(self._clocks, self._period_ns())
+        self._ways.look(time.monotonic_ns())
+        period_ns = self._period_ns()
+        problems += told_apart(self._clocks, period_ns) or told_of_times(self._ways, 1e-9 * period_ns)
         self.health.problem = "; ".join([*problems, *self.health.contradictions()])
         now_ns, source = self._clock.now_ns(), ", ".join(self.cameras.fleet.views) or "no camera"
         self._publisher.publish([self.health.message(source, now_ns, self._clock.session)])
