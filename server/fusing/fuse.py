@@ -14,6 +14,7 @@ import numpy as np
 from asterism.server.chain.answers import NO_POSE
 from asterism.server.fusing.claims import Claim, claims_of
 from asterism.server.fusing.disagree import misplaced_text, off_of, sorted_out
+from asterism.server.fusing.films import Film, Spots, film_of, pairs_of
 from asterism.server.fusing.fleet import Fleet
 from asterism.server.fusing.follow import Courses, Look, follow
 from asterism.server.fusing.fused import Fused, FusedPose
@@ -28,6 +29,7 @@ from asterism.server.pose.solve import Lost
 from asterism.server.pose.track import MOST_EVIDENCE, TILT_MEMORY
 
 FRAME_S = 1.0 / 60.0  # TILT_MEMORY is for
+KEPT_FILMS = 2  # from so many frames ago to now a robot's rays move
 KEPT_S = 3.0  # how long residuals count
 USUAL_FREEDOM = 300.0  # of the belief that spots are as uncertain as they say
 LEAST_SCALE, MOST_SCALE = 0.8, 4.0
@@ -52,8 +54,10 @@ def fuse(sightings: Sequence[Sighting], fleet: Fleet, before: Joint) -> tuple[Fu
         for robot, claim in claims.items()
     }
     cameras = tuple(sorted(sighting.camera for sighting in sightings))
-    courses = line.followed(joint.courses_before(exposed_ns))
-    return Fused(exposed_ns, cameras, answers), joint.then(exposed_ns, courses, line.known, line.places)
+    films = {camera: film_of(camera, line.spots, line.sight) for camera in cameras}
+    after = joint.then(exposed_ns, line.followed(joint, films))
+    after = replace(after, known=line.known, places=line.places, films={**joint.films, **_longer(joint.films, films)})
+    return Fused(exposed_ns, cameras, answers), after
 
 
 class _Line:
@@ -65,13 +69,14 @@ class _Line:
         self.known: dict[str, Known] = dict(joint.known)
         self.places: Places = joint.places.later(sight.names, sight.exposed_ns)
         self._rests: dict[str, tuple[FusedPose, Solution | None]] = {}
-        self._before = joint.known
+        self.spots: dict[str, Spots] = {}
 
     def solve(self, claims: Mapping[str, Claim]) -> None:
         """Answer for all robots that have spots."""
         alone: list[tuple[Claim, Wanted]] = []
         shared: list[tuple[Claim, Wanted]] = []
         for claim in claims.values():
+            self.spots[claim.robot] = claim.spots
             wanted = self._wanted(claim)
             (alone if len(wanted.spots) == 1 else shared).append((claim, wanted))
         for claim, wanted in alone:
@@ -165,27 +170,24 @@ class _Line:
         )
         self.places = judged(places, eyes.places, len(wanted))
 
-    def followed(self, courses: Courses) -> Courses:
-        """How the robots move after this exposure."""
-        if not self._rests:
-            return courses
-        courses, exposures = courses.copied(), {name: s.exposed_ns for name, s in self.sight.sightings.items()}
-        robots, noise, wider = [], [], []
-        for robot, (told, rests) in self._rests.items():
-            own = told.covariance if rests is None else rests.noise
-            # Rays of a camera's frame count in every exposure until its next.
-            times = len({exposures[name] for name in told.cameras})
-            before = self._before.get(robot, Known()).cameras
-            robots.append(self.sight.robots[robot])
-            noise.append(times * own)
-            wider.append(np.zeros((6, 6)) if before == told.cameras else 2.0 * told.covariance)
-        poses = [told.pose for told, _ in self._rests.values()]
-        look = Look(
-            np.array(robots), np.array([pose.rotation for pose in poses]), np.array([pose.position for pose in poses]),
-            np.array(noise), np.array(wider),
-        )  # fmt: skip
-        follow(courses, look, self.sight.exposed_ns)
+    def followed(self, joint: Joint, films: Mapping[str, Film]) -> Courses:
+        """How the robots move after this exposure, whose frames are ``films``."""
+        courses = joint.courses_before(self.sight.exposed_ns).copied()
+        robots = np.array([self.sight.robots[robot] for robot in self.answers], np.int64)
+        if len(robots):
+            told = list(self.answers.values())
+            look = Look(
+                robots, np.array([one.pose.rotation for one in told]), np.array([one.pose.position for one in told]),
+                np.array([one.covariance for one in told]),
+            )  # fmt: skip
+            pairs, motion = pairs_of(robots, {name: some[0] for name, some in joint.films.items()}, films, self.sight)
+            follow(courses, look, self.sight.exposed_ns, self.sight.eyes, self.sight.bodies, pairs, motion)
         return courses
+
+
+def _longer(before: Mapping[str, tuple[Film, ...]], now: Mapping[str, Film]) -> dict[str, tuple[Film, ...]]:
+    """Every camera's films with the newest one."""
+    return {name: (*before.get(name, ()), film)[-KEPT_FILMS:] for name, film in now.items()}
 
 
 def _scale(known: Known) -> float:

@@ -9,15 +9,13 @@ from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats, Pose
 from asterism.server.fusing.fleet import Fleet
-from asterism.server.fusing.follow import ARM2, JERKS, Courses
+from asterism.server.fusing.follow import ARM2, JERKS, UNKNOWN_RATES, Courses
 from asterism.server.fusing.joint_solve import Bodies, Bundle, Eyes, Motion, Poses
 from asterism.server.fusing.sighting import Sighting
 from asterism.server.pose.lens import FX, FY
 from asterism.server.pose.matched import LEAST_SIGMA_PX
 from asterism.server.pose.spot_shift import OPTICS
-from asterism.server.pose.track import ACCELERATION, FORGET_NS, TURN_ACCELERATION, UNKNOWN_SPEED, UNKNOWN_TURN
-
-UNKNOWN_RATES = np.diag([UNKNOWN_SPEED] * 3 + [UNKNOWN_TURN] * 3 + [ACCELERATION] * 3 + [TURN_ACCELERATION] * 3) ** 2.0
+from asterism.server.pose.track import FORGET_NS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,7 +139,7 @@ def motion_of(courses: Courses, robots: NDArray[np.int64], exposed_ns: int) -> M
     seen_ns = courses.seen_ns[robots]
     gone = exposed_ns - seen_ns
     known = (seen_ns > 0) & (gone >= 0) & (gone <= FORGET_NS)
-    rates, covariances = courses.states[robots, 6:], courses.covariances[robots, 6:, 6:]
+    rates, covariances = courses.states[robots], courses.covariances[robots]
     densities = np.repeat((courses.weights[robots] @ JERKS)[:, None] * [1.0, ARM2], 3, axis=1)
     rates[~known], covariances[~known], densities[~known] = 0.0, UNKNOWN_RATES, JERKS[-1] * np.repeat([1.0, ARM2], 3)
     return Motion(np.where(known, gone * 1e-9, 0.0), rates, covariances, densities)

@@ -7,6 +7,7 @@ import numpy as np
 
 from asterism.protocol.geometry import Pose
 from asterism.server.fusing.claims import Foreseen
+from asterism.server.fusing.films import Film
 from asterism.server.fusing.follow import Courses, foresee_poses
 from asterism.server.fusing.places import Places
 from asterism.server.fusing.sighting import Sighting
@@ -62,7 +63,8 @@ class Known:
 @dataclass(frozen=True, slots=True, eq=False)
 class Joint:
     """``paces`` of all cameras heard, by their names; how robots moved, ``history``, after the newest exposures, oldest
-    first; what is ``known`` of the ``robots``, by their ids; how cameras' ``places`` agree.
+    first; what is ``known`` of the ``robots``, by their ids; how cameras' ``places`` agree, and of each camera the
+    newest ``films``, newest last.
     """
 
     paces: Mapping[str, Pace] = field(default_factory=dict)
@@ -70,6 +72,7 @@ class Joint:
     history: tuple[tuple[int, Courses], ...] = ()
     known: Mapping[str, Known] = field(default_factory=dict)
     places: Places = field(default_factory=Places)
+    films: Mapping[str, tuple[Film, ...]] = field(default_factory=dict)
 
     @staticmethod
     def none() -> "Joint":
@@ -97,14 +100,12 @@ class Joint:
                 return courses
         return Courses.unknown(len(self.robots))
 
-    def then(self, exposed_ns: int, courses: Courses, known: Mapping[str, Known], places: Places) -> "Joint":
-        """After one more exposure. Of the history it keeps what the cameras' newest frames may need."""
+    def then(self, exposed_ns: int, courses: Courses) -> "Joint":
+        """After one more exposure, with how robots move then. Of the history it keeps what newest frames may need."""
         oldest = min(pace.newest.exposed_ns for pace in self.paces.values() if pace.counts_at(exposed_ns))
         before = tuple(entry for entry in self.history if entry[0] < exposed_ns)
         some = [k for k, (at_ns, _) in enumerate(before) if at_ns < oldest - self._longest_ns()]
-        return replace(
-            self, history=(*before[some[-1] if some else 0 :], (exposed_ns, courses)), known=known, places=places
-        )
+        return replace(self, history=(*before[some[-1] if some else 0 :], (exposed_ns, courses)))
 
     def _longest_ns(self) -> float:
         return max(pace.period_ns for pace in self.paces.values())
