@@ -40,6 +40,10 @@ _SOCKET_BYTES = 32_768
 _ACCEPT_TIMEOUT_MS = 1500
 _ACCEPT_PENDING = 1000
 _OWN_KEYS = (f"{PREFIX}/**", f"{REPLAY}{PREFIX}/**")
+# A connection of which nothing is heard for so long is given up for a new one. What was lost on a link that was cut is
+# sent again only after pauses that double, for seconds after the link is back: after 5 s of nothing, with 1 % of loss,
+# poses came 0.5 to 12 s later with zenoh's 10 s (median 4.3), 0.2 to 3.6 s with 3 (median 0.2; ten cuts each).
+_LEASE_MS = 3000
 # A server that is started again is found at once: trying costs a packet.
 _RETRY = {"period_init_ms": 100, "period_max_ms": 200, "period_increase_factor": 2}
 
@@ -187,6 +191,7 @@ def _base(options: Path | None) -> "zenoh.Config":
             raise InputError(f"{options}: is no zenoh configuration in JSON5 ({_short(error)})") from None
     _default(config, "scouting/multicast/enabled", False)
     _default(config, "connect/retry", _RETRY)
+    _default(config, "transport/link/tx/lease", _LEASE_MS)
     for priority in ("real_time", "interactive_high", "interactive_low", "data_high", "data"):
         _default(config, f"transport/link/tx/queue/size/{priority}", _TX_QUEUE)
     return config

@@ -49,13 +49,11 @@ class Publisher:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._visible: dict[str, zenoh.LivelinessToken] = {}
 
-        keys_rig = prefix + keys.rig(camera)
-
         def answer(query: zenoh.Query) -> None:
             payload = self.rig_payload + _who_answers(clock)
-            query.reply(keys_rig, payload, encoding=zenoh.Encoding(RIG_REPORT.encoding))
+            query.reply(self.rig_key, payload, encoding=zenoh.Encoding(RIG_REPORT.encoding))
 
-        self._queryable = session.declare_queryable(keys_rig, answer)
+        self._queryable = session.declare_queryable(self.rig_key, answer)
         self._alive = session.liveliness().declare_token(prefix + keys.alive(camera))
         self._beating = Ticker(self._beat, BEAT_EVERY_S)
 
@@ -63,6 +61,11 @@ class Publisher:
     def beat_key(self) -> str:
         """The key of the beat."""
         return self._prefix + keys.beat(self.camera)
+
+    @property
+    def rig_key(self) -> str:
+        """The key of the queryable that answers for the rig."""
+        return self._prefix + keys.rig(self.camera)
 
     @property
     def age_key(self) -> tuple[int, int]:

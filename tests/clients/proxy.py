@@ -63,6 +63,7 @@ class Proxy:
             self._start(self._pass_on, server, client, True)
 
     def _pass_on(self, source: socket.socket, to: socket.socket, throttled: bool) -> None:
+        flows = self.flows  # of this connection: another event is for those that come later
         with contextlib.suppress(OSError), source:
             while not self._stop.is_set():
                 if not select.select([source], [], [], 0.05)[0]:
@@ -70,7 +71,7 @@ class Proxy:
                 data = source.recv(CHUNK)
                 if not data:
                     break
-                self.flows.wait()
+                flows.wait()
                 if throttled:
                     time.sleep(len(data) / self.rate)
                 to.sendall(data)

@@ -140,3 +140,16 @@ def test_each_play_of_a_replay_has_its_own_ages_at_its_own_speed(endpoint: str) 
 def _session(robots: PoseClient) -> int:
     pose = robots["alpha"].latest(60.0)
     return 0 if pose is None else pose.session
+
+
+def test_a_connection_that_hangs_is_given_up_for_a_new_one(endpoint: str, server: Server) -> None:
+    with Proxy(endpoint) as proxy, PoseClient(proxy.endpoint) as robots, telling(server, ("alpha",)):
+        watching = Watching(server, robots)
+        until(watching.look)
+        hangs, proxy.flows = proxy.flows, threading.Event()
+        proxy.flows.set()
+        hangs.clear()
+        until(lambda: not watching.look() and robots.link.state is LinkState.SILENT)
+        until(lambda: watching.look() and robots.link.state is LinkState.LIVE)
+        hangs.set()
+    assert watching.oldest_s < 0.11

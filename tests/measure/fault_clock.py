@@ -24,7 +24,11 @@ __attribute__((constructor)) static void begin(void) {
 
 int clock_gettime(clockid_t id, struct timespec *told) {
     int result = syscall(SYS_clock_gettime, id, told);
-    if (id == CLOCK_REALTIME && step) told->tv_sec += *step;
+    if (id == CLOCK_REALTIME && step) {
+        long long ns = told->tv_sec * 1000000000LL + told->tv_nsec + *step;
+        told->tv_sec = ns / 1000000000LL;
+        told->tv_nsec = ns % 1000000000LL;
+    }
     return result;
 }
 
@@ -49,7 +53,7 @@ class SteppedClock:
         subprocess.run(["cc", "-O2", "-shared", "-fPIC", "-o", library, folder / "clock.c"], check=True)
         self.environment = {**os.environ, "LD_PRELOAD": str(library), "STEPPED_CLOCK": str(self._step)}
 
-    def set(self, step_s: int) -> None:
+    def set(self, step_s: float) -> None:
         """Seconds that it is ahead of this machine's, from now on."""
         with self._step.open("r+b" if self._step.exists() else "wb") as file:
-            file.write(struct.pack("q", step_s))
+            file.write(struct.pack("q", round(step_s * 1e9)))

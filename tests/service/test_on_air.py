@@ -14,6 +14,7 @@ from asterism.protocol.codec import decode_rig, encode_odometry, to_bytes
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import ODOMETRY, Message
 from asterism.protocol.network import client_config
+from asterism.server.service.names import HEARD_S, refuse_to_go_unheard
 from asterism.server.service.on_air import OnAir, Place, on_air
 from asterism.server.sources.session_clock import SessionClock
 from tests.protocol.make_golden import RIG, ROBOT_POSE
@@ -153,3 +154,21 @@ def test_of_two_that_started_together_the_later_ends() -> None:
             assert not air.rivals.sentence
             again_until(ended, lambda: session.put(keys.beat("cam"), to_bytes(earlier)))
             assert "was there first, so this one ends" in air.rivals.sentence
+
+
+def test_who_is_heard_late_is_not_taken_for_unheard() -> None:
+    with open_router() as (router, session), on_air(Place(connect=router), RIG, SessionClock(), nothing) as air:
+
+        class Busy:
+            """A session of a machine so busy that it gets round to nothing for longer than a beat is waited for."""
+
+            def declare_subscriber(self, key: str, heard: Callable[[zenoh.Sample], None]) -> zenoh.Subscriber[None]:
+                self.subscribe = lambda: session.declare_subscriber(key, heard)
+                return session.declare_subscriber("nothing", heard)
+
+            def get(self, key: str, timeout: float) -> list[zenoh.Reply]:
+                time.sleep(HEARD_S + 0.5)
+                self.held = self.subscribe()
+                return list(session.get(key, timeout=timeout))
+
+        refuse_to_go_unheard(air.publisher, Busy(), router)  # type: ignore[arg-type]
