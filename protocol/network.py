@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import zenoh
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+FUSED_ENDPOINT = "tcp/127.0.0.1:7448"  # of `asterism fuse`
 
 PROTOCOLS = ("tcp", "udp", "tls", "quic", "ws", "unixsock-stream")  # that zenoh's Python package speaks
 _HOST_AND_PORT = PROTOCOLS[:5]
@@ -221,8 +222,9 @@ def open_server(
     connect: str | None = None,
     options: Path | None = None,
     ros_keys: Sequence[str] | None = None,
+    joining: str = "--connect",
 ) -> "zenoh.Session":
-    """Open the server's session, as `server_config` has it.
+    """Open the server's session, as `server_config` has it; ``joining`` is the option that gives ``connect``.
 
     Raises InputError when an endpoint is malformed or in use, WorldError when the infrastructure cannot be reached.
     """
@@ -241,7 +243,7 @@ def open_server(
         if "Address already in use" in str(error):
             raise InputError(
                 f"{where}: the endpoint is already in use (another server or a zenoh router?); expected a free one: "
-                f"--listen tcp/127.0.0.1:PORT, or --connect {where} to join what is there as a client"
+                f"--listen tcp/127.0.0.1:PORT, or {joining} {where} to join what is there as a client"
             ) from None
         if connect is not None and "Unable to connect" in str(error):
             raise WorldError(f"{connect}: nothing answers there; start the zenoh router or server first") from None

@@ -15,6 +15,7 @@ SUBCOMMANDS = {
     "camera": "the camera's lens model from views of a planar target",
     "leds": "a robot's six LED positions from a film of it moved about",
     "world": "T_world_camera from a target on the floor, robots at surveyed points, or what is fixed",
+    "cameras": "where several cameras stand in one world, from robots that two or more of them see",
     "offset": "how far LEDs seem to move with the angle they are seen at",
     "point": "a point of a robot, such as its tool's tip, by pivoting the robot about it",
     "z": "physical refit of the rig, then the super-plane for Z, from surveyed poses",

@@ -48,7 +48,14 @@ def run(options: argparse.Namespace) -> int:
         return fuse_recordings(options)
     if options.out is not None:
         raise InputError("-o is for recordings; expected `asterism fuse RECORDING ... -o OUT`, or neither for live")
-    raise InputError("fusing live is not there yet; expected recordings")
+    if options.record is not None:
+        raise InputError(
+            "--record is for recordings; what is joined live is recorded by `asterism record DIR --connect "
+            "tcp/127.0.0.1:7448`"
+        )
+    from asterism.server.command.fuse_live import fuse_live
+
+    return fuse_live(options)
 
 
 def refuse_live_options(options: argparse.Namespace) -> None:

@@ -1,8 +1,10 @@
 """What `asterism fuse RECORDING ... -o OUT` does: lines, a recording, or both, of what several cameras recorded."""
 
 import argparse
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import combinations
 from pathlib import Path
 
 import msgspec
@@ -14,7 +16,7 @@ from asterism.protocol.messages import Clock
 from asterism.protocol.program import typed
 from asterism.protocol.rig import parse_rig
 from asterism.recordings.recorder import FramesKept, Recorder
-from asterism.recordings.tape import Tape, exposures_of, refuse_apart, tapes_of
+from asterism.recordings.tape import Shown, Tape, exposures_of, refuse_apart, tapes_of
 from asterism.server.command.fused_line import FusedTally, fused_line
 from asterism.server.command.lines_output import lines_output
 from asterism.server.command.progress import progress, working
@@ -22,6 +24,7 @@ from asterism.server.fusing.fleet import Fleet
 from asterism.server.fusing.offline import Exposure, Watching, fused_offline
 from asterism.server.fusing.report import CAMERA_TEXT, Told, report, rig_text
 from asterism.server.output import check_file, check_folder_of_many
+from asterism.server.service.fusing.ways import Ways, told_of_times
 from asterism.server.service.say import say
 
 
@@ -42,7 +45,8 @@ def fuse_recordings(options: argparse.Namespace) -> int:
     if len(tapes) == 1:
         say(f"there is nothing to join: all of it is of one camera, '{tapes[0].camera}'")
     encoder, tally = msgspec.json.Encoder(), FusedTally()
-    exposures = progress(exposures_of(tapes), None, "fusing")
+    ways = Ways()
+    exposures = _watched(progress(exposures_of(tapes), None, "fusing"), ways)
     with lines_output(options.out, options.force) as out, _recorder(options, tapes) as record:
         for exposure in fused_offline(watching, exposures):
             tally.add(exposure.fused)
@@ -51,9 +55,24 @@ def fuse_recordings(options: argparse.Namespace) -> int:
             if record is not None:
                 record(exposure)
     say(f"{tally.exposures} exposures")
-    for line in tally.summary():
+    for line in [*tally.summary(), *_of_times(ways, tapes)]:
         say(line)
     return 0
+
+
+def _watched(exposures: Iterator[list[Shown]], ways: Ways) -> Iterator[list[Shown]]:
+    for exposure in exposures:
+        for shown in exposure:
+            ways.add(shown.camera, shown.report)
+        yield exposure
+
+
+def _of_times(ways: Ways, tapes: Sequence[Tape]) -> list[str]:
+    """What is wrong with the cameras' times, by the newest seconds of all."""
+    for _ in combinations(tapes, 2):
+        ways.look(0)
+    periods = [(tape.span.last_ns - tape.span.first_ns) * 1e-9 / (tape.frames - 1) for tape in tapes if tape.frames > 1]
+    return told_of_times(ways, min(periods, default=math.inf))
 
 
 def _chosen(tapes: list[Tape], names: Sequence[str]) -> list[Tape]:

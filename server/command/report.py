@@ -15,6 +15,7 @@ from asterism.server.budget.budget import SOURCES, Light
 from asterism.server.budget.page import assumptions, page
 from asterism.server.budget.plots import plots_of
 from asterism.server.budget.truth import Bin, Compared, bins_of, compare, light_of
+from asterism.server.budget.truth_lines import is_lines, match_lines, sightings_of_lines
 from asterism.server.budget.uncertainty import Uncertainty, read_uncertainty
 from asterism.server.budget.workspace import Budget, budget_of
 from asterism.server.calibration.leds.observations import observe
@@ -29,7 +30,11 @@ from asterism.server.service.say import say
 from asterism.server.sources.open_source import refuse_endless
 from asterism.server.sources.source import Source
 
-EXAMPLES = "asterism report rig.yaml -o report\nasterism report rig.yaml --truth truth.jsonl frames/ -o report\n"
+EXAMPLES = (
+    "asterism report rig.yaml -o report\n"
+    "asterism report rig.yaml --truth truth.jsonl frames/ -o report\n"
+    "asterism report left.yaml --truth truth.jsonl fused.jsonl -o report\n"
+)
 
 PAGE = "report.html"
 
@@ -38,7 +43,10 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     part.add_argument("rig", metavar="RIG", help="rig.yaml")
     part.add_argument(
-        "--truth", metavar=("TRUTH", "SOURCE"), nargs=2, help=f"measured beside predicted: {TRUTH}, and {FINITE_SOURCE}"
+        "--truth",
+        metavar=("TRUTH", "SOURCE"),
+        nargs=2,
+        help=f"measured beside predicted: {TRUTH}, and {FINITE_SOURCE}, or lines of locate or fuse",
     )
     add_topic(part)
     add_out(part, "DIR", "where page and plots go, a new or empty folder")
@@ -58,8 +66,11 @@ def run(options: argparse.Namespace) -> int:
     if options.truth is not None:
         truth, name = options.truth
         refuse_endless(name, "report")
-        rig, source = open_fitting(name, rig, say, options.topic)
-        compared, light = _compare(rig, Path(truth), source, uncertainty, light)
+        if is_lines(name):
+            compared = _compare_lines(rig, Path(truth), Path(name), uncertainty, light)
+        else:
+            rig, source = open_fitting(name, rig, say, options.topic)
+            compared, light = _compare(rig, Path(truth), source, uncertainty, light)
         measured = (compared, bins_of(compared), f"{name} beside {truth}")
     with working("reckoning the budget") as now:
         budget = budget_of(rig, uncertainty, light)
@@ -93,6 +104,15 @@ def _compare(rig: Rig, truth: Path, source: Source, uncertainty: Uncertainty, li
         say(remark)
     light = light_of(rig, light, [sighting for _, sightings in seen for sighting in sightings])
     return compare(rig, seen, matched.frames, uncertainty, light), light
+
+
+def _compare_lines(rig: Rig, truth: Path, lines: Path, uncertainty: Uncertainty, light: Light) -> Compared:
+    survey = read_survey(truth, [robot.id for robot in rig.robots])
+    seen, matched, remarks = match_lines(survey, sightings_of_lines(lines, rig), str(lines))
+    for remark in remarks:
+        say(remark)
+    say(f"measured: the poses of {lines}, about the axes of camera '{rig.camera.name}'; predicted: what it alone gives")
+    return compare(rig, seen, matched, uncertainty, light)
 
 
 def _known(rig: Rig, rig_name: str, uncertainty: Uncertainty, light: Light) -> Table:

@@ -1,15 +1,15 @@
 """How far apart the clocks of two cameras are, from the way of robots that both see.
 
 A robot's way as one camera has it and as the other has it are one way, seen from two places: the shift of time under
-which they lie on each other best, whatever the places, is how far the clocks are apart. First all shifts are tried, each
-with the best place (Kabsch's method), then shift, drift and place are fitted together (Gauss-Newton, weighted by the
-positions' covariances; what the residuals leave beyond them widens all). A robot that stands still tells nothing, and
-one that goes straight at an even pace cannot be told from a camera that stands elsewhere: the standard deviation says
-so.
+which they lie on each other best, whatever the places, is how far the clocks are apart. First all shifts are tried,
+each with the best place (Kabsch's method), then shift, drift and place are fitted together (Gauss-Newton, weighted by
+the positions' covariances; what the residuals leave beyond them widens all). A robot that stands still tells nothing,
+and one that goes straight at an even pace cannot be told from a camera that stands elsewhere: the standard deviation
+says so.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,11 +40,11 @@ class Way:
     times_s: Floats
     places: Floats
     covariances: Floats
+    period_s: float = field(init=False)  # from one frame to the next, usually
 
-    @property
-    def period_s(self) -> float:
-        """From one frame to the next, usually."""
-        return float(np.median(np.diff(self.times_s))) if len(self.times_s) > 1 else 0.0
+    def __post_init__(self) -> None:
+        period = float(np.median(np.diff(self.times_s))) if len(self.times_s) > 1 else 0.0
+        object.__setattr__(self, "period_s", period)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,15 +94,23 @@ def _tried(ways: Sequence[tuple[Way, Way]], within_s: float) -> Iterator[tuple[f
     period = max(min(min(way.period_s or np.inf for way in pair) for pair in ways), 1e-3)
     period = period if np.isfinite(period) else 1e-3
     steps = int(np.ceil(within_s / (0.5 * period)))
-    counts = {}
+    # Linearly between frames, also where some are missing: that is near enough to find the shift.
+    some = [(first, _spread(len(second.times_s), PAIRS_TRIED // len(ways)), second) for first, second in ways]
+    seconds = np.concatenate([second.places[rows] for _, rows, second in some])
+    most = 0
     for k in sorted(range(-steps, steps + 1), key=abs):
-        pairs = _pairs(ways, 0.5 * period * k, 0.0, 0.0, PAIRS_TRIED)
-        counts[k] = len(pairs.firsts)
-        if counts[k] < max(FEWEST, LEAST_OVERLAP * max(counts.values())):
+        firsts, inside = [], []
+        for first, rows, second in some:
+            times = second.times_s[rows] - 0.5 * period * k
+            firsts.append(np.column_stack([np.interp(times, first.times_s, axis) for axis in first.places.T]))
+            inside.append((times >= first.times_s[0]) & (times <= first.times_s[-1]))
+        there = np.concatenate(inside)
+        most = max(most, int(there.sum()))
+        if there.sum() < max(FEWEST, LEAST_OVERLAP * most):
             continue
-        T = _laid(pairs.firsts, pairs.seconds)
-        away = np.linalg.norm(T.map(pairs.seconds) - pairs.firsts, axis=1)
-        yield float(np.median(away)), 0.5 * period * k
+        here = np.concatenate(firsts)[there]
+        T = _laid(here, seconds[there])
+        yield float(np.median(((T.map(seconds[there]) - here) ** 2).sum(axis=1))) ** 0.5, 0.5 * period * k
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,13 +127,11 @@ class _Pairs:
     second_covariances: Floats
 
 
-def _pairs(
-    ways: Sequence[tuple[Way, Way]], offset_s: float, drift: float, at_s: float, most: int = MOST_PAIRS
-) -> _Pairs:
+def _pairs(ways: Sequence[tuple[Way, Way]], offset_s: float, drift: float, at_s: float) -> _Pairs:
     """The second's positions with the first's, interpolated at their times by the first's clock."""
     columns: list[tuple[Floats, ...]] = []
     for first, second in ways:
-        rows = _spread(len(second.times_s), most // len(ways))
+        rows = _spread(len(second.times_s), MOST_PAIRS // len(ways))
         told = second.times_s[rows]
         times = told - offset_s - drift * (told - at_s)
         after = np.clip(np.searchsorted(first.times_s, times, side="right"), 1, len(first.times_s) - 1)
@@ -172,11 +178,13 @@ def _fitted(ways: Sequence[tuple[Way, Way]], offset_s: float) -> ClockFit | None
         by, away, weights, scale = _linearised(pairs, T, at_s)
         if not moves:
             by[:, :, :2] = 0.0
-        across = np.swapaxes(by, 1, 2) @ weights
-        normal = (across @ by).sum(axis=0) / scale + prior
-        right = (across @ away[..., None]).sum(axis=0)[:, 0] / scale - prior @ np.array([0.0, drift, *[0.0] * 6])
+        weighted = np.swapaxes(by, 1, 2) @ weights
+        normal = (weighted @ by).sum(axis=0) / scale + prior
+        right = (weighted @ away[..., None]).sum(axis=0)[:, 0] / scale - prior @ np.array([0.0, drift, *[0.0] * 6])
         # A way that is a line, or a place, leaves a rotation open.
-        covariance = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
+        sizes = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-12))
+        across = np.outer(sizes, sizes)
+        covariance = across * np.linalg.pinv(normal * across, rcond=1e-12, hermitian=True)
         step = covariance @ right
         offset_s, drift = offset_s + float(step[0]), drift + float(step[1])
         T = Pose.from_matrix(exp_rotation(step[5:]) @ T.rotation, T.position + step[2:5])
@@ -211,7 +219,7 @@ def _linearised(pairs: _Pairs, T: Pose, at_s: float) -> tuple[Floats, Floats, Fl
     by[:, :, 2:5] = np.eye(3)
     by[:, :, 5:] = turning(arms)
     spread = pairs.first_covariances + T.rotation @ pairs.second_covariances @ T.rotation.T
-    weights = np.linalg.inv(spread)
+    weights = np.asarray(np.linalg.inv(spread), np.float64)
     squared = (away[:, None] @ weights @ away[..., None])[:, 0, 0]
     scale = max(float(np.median(squared)) / MEDIAN_CHI2, 1e-12)
     good = squared < FAR_OFF**2 * 3.0 * scale

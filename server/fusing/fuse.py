@@ -1,27 +1,38 @@
-"""The frames of several cameras joined, exposure by exposure: the pure function at the heart of `asterism fuse`."""
+"""The frames of several cameras joined, exposure by exposure: the pure function at the heart of `asterism fuse`.
+
+Of every exposure: the newest frames of all cameras that are not too old (`memory`), whose spots are whose (`claims`),
+each robot's pose from all its rays (`solution`), cameras that contradict the others left out (`disagree`, `places`),
+what is learned of the robots' LEDs (`misfit`) and motion (`follow`) for the next.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from asterism.protocol.codec import report_pose
-from asterism.protocol.geometry import Floats, Pose
-from asterism.server.chain.answers import NO_POSE, SURE
+from asterism.server.chain.answers import NO_POSE
 from asterism.server.fusing.claims import Claim, claims_of
+from asterism.server.fusing.disagree import misplaced_text, off_of, sorted_out
+from asterism.server.fusing.films import Film, Spots, film_of, pairs_of
 from asterism.server.fusing.fleet import Fleet
+from asterism.server.fusing.follow import Courses, Look, follow
 from asterism.server.fusing.fused import Fused, FusedPose
-from asterism.server.fusing.gather import Rays, bodies_of, bundle_of, eyes_of
-from asterism.server.fusing.joint_solve import Bundle, Motion, Poses, solve_joint
-from asterism.server.fusing.memory import Joint
+from asterism.server.fusing.gather import Sight, Wanted
+from asterism.server.fusing.memory import Foresight, Joint, Known
+from asterism.server.fusing.misfit import is_due, looked_at
+from asterism.server.fusing.passed import passed_through
+from asterism.server.fusing.places import Places, add_ties, judged
 from asterism.server.fusing.sighting import Sighting
-from asterism.server.pose.choose import MOST_ODDS
-from asterism.server.pose.planar import NO_SOLUTION
-from asterism.server.pose.solve import Alternative, Lost
-from asterism.server.pose.track import ACCELERATION, TURN_ACCELERATION, UNKNOWN_SPEED, UNKNOWN_TURN
+from asterism.server.fusing.solution import Solution, likelier, solutions, tilt_squares, unlike_starts
+from asterism.server.pose.solve import Lost
+from asterism.server.pose.track import MOST_EVIDENCE, TILT_MEMORY
 
-UNKNOWN_RATES = np.diag([UNKNOWN_SPEED**2] * 3 + [UNKNOWN_TURN**2] * 3)
-UNLIKE = math.cos(math.radians(2.5))  # half of an angle from which on two starts are two
+FRAME_S = 1.0 / 60.0  # TILT_MEMORY is for
+KEPT_FILMS = 2  # from so many frames ago to now a robot's rays move
+KEPT_S = 3.0  # how long residuals count
+USUAL_FREEDOM = 300.0  # of the belief that spots are as uncertain as they say
+LEAST_SCALE, MOST_SCALE = 0.8, 4.0
 
 
 def fuse(sightings: Sequence[Sighting], fleet: Fleet, before: Joint) -> tuple[Fused, Joint]:
@@ -31,115 +42,155 @@ def fuse(sightings: Sequence[Sighting], fleet: Fleet, before: Joint) -> tuple[Fu
     the exposures before handed back, `Joint.none()` at first.
     """
     exposed_ns = sightings[0].exposed_ns
-    joint = before.hearing(sightings)
+    joint = before.hearing(sightings, tuple(fleet.robots))
     current = joint.counting(exposed_ns)
-    claims = claims_of(fleet, current, _nothing)
-    by_camera = {sighting.camera: sighting for sighting in current}
-    answers: dict[str, FusedPose | Lost] = {}
-    shared: list[Claim] = []
-    for robot, claim in claims.items():
-        if isinstance(claim, Lost):
-            answers[robot] = claim
-        elif len(claim.spots) == 1:
-            answers[robot] = _passed_through(claim, by_camera, exposed_ns)
-        else:
-            shared.append(claim)
-    if shared:
-        answers |= _joined(shared, fleet, current, exposed_ns)
-    cameras = tuple(sorted(sighting.camera for sighting in sightings))
-    return Fused(exposed_ns, cameras, {robot: answers[robot] for robot in fleet.robots}), joint
-
-
-def _nothing(_robot: str, _at_ns: int) -> None:
-    return None
-
-
-def _passed_through(claim: Claim, by_camera: Mapping[str, Sighting], exposed_ns: int) -> FusedPose | Lost:
-    """What the only camera that sees a robot says of it."""
-    (camera,) = claim.spots
-    sighting = by_camera[camera]
-    told = sighting.told[claim.robot]
-    if not told.HasField("pose"):
-        return Lost(told.reason)
-    pose, covariance = report_pose(told.pose), np.array(told.covariance[:], np.float64).reshape(6, 6)
-    if not sighting.view.rig.follows_world:  # else it is in there already
-        covariance = covariance + carried(sighting.place_covariance, pose.position - sighting.T_world_camera.position)
-    dt = (exposed_ns - sighting.exposed_ns) * 1e-9
-    covariance = covariance + UNKNOWN_RATES * dt**2
-    alternative = None
-    if told.HasField("alternative"):
-        other = report_pose(told.alternative.pose)
-        alternative = Alternative(other.position, other.orientation, told.alternative.odds)
-    return FusedPose(pose, covariance, (camera,), told.leds, told.rms_px, alternative)
-
-
-def carried(place_covariance: Floats, arm: Floats) -> Floats:
-    """What is not known of a camera's place (6, 6), as of a robot that is ``arm`` (3,) m from it, in the world."""
-    by_place = np.eye(6)
-    x, y, z = arm
-    by_place[0, 4], by_place[0, 5] = z, -y
-    by_place[1, 3], by_place[1, 5] = -z, x
-    by_place[2, 3], by_place[2, 4] = y, -x
-    out: Floats = by_place @ place_covariance @ by_place.T
-    return out
-
-
-def _joined(
-    claims: Sequence[Claim], fleet: Fleet, sightings: Sequence[Sighting], exposed_ns: int
-) -> dict[str, FusedPose | Lost]:
-    """Poses of robots from all rays of all cameras."""
-    rays, eyes = Rays(sightings, sorted(fleet.views), exposed_ns), eyes_of(fleet, sightings)
-    wanted = [
-        (claim, start, misfit_of(claim.robot, sightings)) for claim in claims for start in unlike_starts(claim.starts)
-    ]
-    bundle, poses = bundle_of(wanted, fleet, rays)
-    solve_joint(eyes, bodies_of(fleet), bundle, _unknown_motion(len(wanted)), poses)
-    focal = np.array([math.sqrt(view.lens[0] * view.lens[1]) for _, view in sorted(fleet.views.items())])
-    tried: dict[str, list[int]] = {}
-    for k, (claim, _, _) in enumerate(wanted):
-        tried.setdefault(claim.robot, []).append(k)
-    return {
-        claim.robot: _told(tried[claim.robot], tuple(sorted(claim.spots)), bundle, poses, focal) for claim in claims
+    foresight = Foresight(joint, exposed_ns)
+    claims = claims_of(fleet, current, foresight)
+    courses = joint.courses_before(min(sighting.exposed_ns for sighting in current))
+    line = _Line(joint, Sight(fleet, current, exposed_ns, courses), foresight)
+    line.solve({robot: claim for robot, claim in claims.items() if isinstance(claim, Claim)})
+    answers = {
+        robot: claim if isinstance(claim, Lost) else line.answers.get(robot, Lost(NO_POSE))
+        for robot, claim in claims.items()
     }
+    cameras = tuple(sorted(sighting.camera for sighting in sightings))
+    films = {camera: film_of(camera, line.spots, line.sight) for camera in cameras}
+    after = joint.then(exposed_ns, line.followed(joint, films))
+    after = replace(after, known=line.known, places=line.places, films={**joint.films, **_longer(joint.films, films)})
+    return Fused(exposed_ns, cameras, answers), after
 
 
-def _unknown_motion(m: int) -> Motion:
-    # As much as a robot that speeds up hard comes off in a frame's time.
-    densities = np.array([ACCELERATION**2] * 3 + [TURN_ACCELERATION**2] * 3) / 60.0
-    return Motion(np.zeros((m, 6)), np.tile(UNKNOWN_RATES, (m, 1, 1)), np.tile(densities, (m, 1)))
+class _Line:
+    """One exposure being solved: its answers, and what is known of robots and places after it."""
+
+    def __init__(self, joint: Joint, sight: Sight, foresight: Foresight) -> None:
+        self.sight, self.foresight = sight, foresight
+        self.answers: dict[str, FusedPose] = {}
+        self.known: dict[str, Known] = dict(joint.known)
+        self.places: Places = joint.places.later(sight.names, sight.exposed_ns)
+        self._rests: dict[str, tuple[FusedPose, Solution | None]] = {}
+        self.spots: dict[str, Spots] = {}
+
+    def solve(self, claims: Mapping[str, Claim]) -> None:
+        """Answer for all robots that have spots."""
+        alone: list[tuple[Claim, Wanted]] = []
+        shared: list[tuple[Claim, Wanted]] = []
+        for claim in claims.values():
+            self.spots[claim.robot] = claim.spots
+            wanted = self._wanted(claim)
+            (alone if len(wanted.spots) == 1 else shared).append((claim, wanted))
+        for claim, wanted in alone:
+            self._pass(wanted, claim)
+        found = solutions([wanted for _, wanted in shared], self.sight)
+        for (claim, wanted), one in zip(shared, found, strict=True):
+            self._join(wanted, claim, one)
+        self._compare(claims)
+
+    def _wanted(self, claim: Claim) -> Wanted:
+        """The claim without cameras that are misplaced, if others see the robot."""
+        known = self.known.get(claim.robot, Known())
+        spots = {name: of for name, of in claim.spots.items() if name not in self.places.misplaced}
+        return Wanted(claim.robot, spots or claim.spots, claim.starts[0], known.misfit_m)
+
+    def _pass(self, wanted: Wanted, claim: Claim) -> None:
+        known = self.known.get(wanted.robot, Known())
+        passed = passed_through(wanted, self.sight, self.foresight, self._evidence(known))
+        if passed is not None:
+            told, evidence = passed
+            self._tell(wanted.robot, self._with_misplaced(told, claim, None), None, evidence)
+
+    def _join(self, wanted: Wanted, claim: Claim, found: Solution | None) -> None:
+        known = self.known.get(wanted.robot, Known())
+        if is_due(known, self.sight.exposed_ns):
+            start = wanted.start if found is None else found.pose
+            known = self.known[wanted.robot] = looked_at(replace(wanted, start=start), self.sight, known)
+            wanted = replace(wanted, misfit_m=known.misfit_m)
+            (found,) = solutions([wanted], self.sight)
+        others = [replace(wanted, start=start) for start in unlike_starts(claim.starts)[1:]]
+        tried = [found, *solutions(others, self.sight)]
+        best = likelier(tried, self._leaning(tried, known))
+        if best is None:
+            return
+        told, rests = sorted_out(best, self.sight, _scale(known), self.foresight)
+        self._tell(wanted.robot, self._with_misplaced(told, claim, rests), rests, best.evidence)
+
+    def _leaning(self, tried: Sequence[Solution | None], known: Known) -> list[float]:
+        """Nats that what was known before has for each of a robot's tilts."""
+        evidence, leaning = self._evidence(known), [0.0] * len(tried)
+        if len(tried) < 2 or evidence == 0.0:
+            return leaning
+        for k, one in enumerate(tried):
+            foreseen = self.foresight(one.wanted.robot, self.sight.exposed_ns) if one is not None else None
+            if one is not None and foreseen is not None:
+                leaning[k] = -min(0.5 * tilt_squares(foreseen.pose, one.pose), evidence)
+        return leaning
+
+    def _evidence(self, known: Known) -> float:
+        """What is left of the evidence for the tilt that was known."""
+        gone_s = (self.sight.exposed_ns - known.seen_ns) * 1e-9
+        return known.evidence * TILT_MEMORY ** (gone_s / FRAME_S) if 0.0 < gone_s < 1.0 else 0.0
+
+    def _with_misplaced(self, told: FusedPose, claim: Claim, rests: Solution | None) -> FusedPose:
+        """With what is said of cameras that are misplaced and see the robot."""
+        said = {name: misplaced_text(self.places.misplaced[name]) for name in claim.spots
+                if name in self.places.misplaced and name not in told.cameras}  # fmt: skip
+        if rests is not None and said:
+            said |= off_of(sorted(said), claim.spots, rests, self.sight)
+        return replace(told, left_out={**told.left_out, **said}) if said else told
+
+    def _tell(self, robot: str, told: FusedPose, rests: Solution | None, evidence: float) -> None:
+        self.answers[robot] = told
+        self._rests[robot] = told, rests
+        known, exposed_ns = self.known.get(robot, Known()), self.sight.exposed_ns
+        chi2, freedom = known.chi2, known.freedom
+        if rests is not None:
+            gone_s = (exposed_ns - known.seen_ns) * 1e-9
+            keep = math.exp(-gone_s / KEPT_S) if 0.0 <= gone_s < KEPT_S else 0.0
+            chi2, freedom = keep * chi2 + rests.cost, keep * freedom + rests.freedom
+        self.known[robot] = replace(
+            known, cameras=told.cameras, evidence=min(evidence, MOST_EVIDENCE), chi2=chi2, freedom=freedom,
+            seen_ns=exposed_ns,
+        )  # fmt: skip
+
+    def _compare(self, claims: Mapping[str, Claim]) -> None:
+        """Add to what is known of the cameras' places what their rays tell, whether they are left out or not."""
+        wanted = [
+            Wanted(robot, claims[robot].spots, told.pose, self.known[robot].misfit_m)
+            for robot, (told, _) in self._rests.items()
+            if len(claims[robot].spots) > 1
+        ]
+        if len(self.sight.names) < 3 or not wanted:
+            return
+        bundle, motion, poses = self.sight.bundle(wanted)
+        normal, right = self.places.normal.copy(), self.places.right.copy()
+        eyes, bodies = self.sight.eyes, self.sight.bodies
+        count, stays = add_ties(eyes, bodies, bundle, motion, poses, normal, right)
+        places = replace(
+            self.places, normal=normal, right=right, ties=self.places.ties + count, stays=self.places.stays + stays
+        )
+        self.places = judged(places, eyes.places, len(wanted))
+
+    def followed(self, joint: Joint, films: Mapping[str, Film]) -> Courses:
+        """How the robots move after this exposure, whose frames are ``films``."""
+        courses = joint.courses_before(self.sight.exposed_ns).copied()
+        robots = np.array([self.sight.robots[robot] for robot in self.answers], np.int64)
+        if len(robots):
+            told = list(self.answers.values())
+            look = Look(
+                robots, np.array([one.pose.rotation for one in told]), np.array([one.pose.position for one in told]),
+                np.array([one.covariance for one in told]),
+            )  # fmt: skip
+            pairs, motion = pairs_of(robots, {name: some[0] for name, some in joint.films.items()}, films, self.sight)
+            follow(courses, look, self.sight.exposed_ns, self.sight.eyes, self.sight.bodies, pairs, motion)
+        return courses
 
 
-def unlike_starts(starts: Sequence[Pose]) -> list[Pose]:
-    """The starts without those that are turned as one before them."""
-    kept: list[Pose] = []
-    for start in starts:
-        if all(abs(float(start.orientation @ other.orientation)) < UNLIKE for other in kept):
-            kept.append(start)
-    return kept
+def _longer(before: Mapping[str, tuple[Film, ...]], now: Mapping[str, Film]) -> dict[str, tuple[Film, ...]]:
+    """Every camera's films with the newest one."""
+    return {name: (*before.get(name, ()), film)[-KEPT_FILMS:] for name, film in now.items()}
 
 
-def misfit_of(robot: str, sightings: Sequence[Sighting]) -> float:
-    """How far off the rig has a robot's LEDs, m, by all cameras that have learned it: their root mean square."""
-    known = [misfit for sighting in sightings if (misfit := sighting.misfits_m.get(robot, 0.0)) > 0.0]
-    return math.sqrt(sum(misfit**2 for misfit in known) / len(known)) if known else 0.0
-
-
-def _told(tried: list[int], cameras: tuple[str, ...], bundle: Bundle, poses: Poses, focal: Floats) -> FusedPose | Lost:
-    """The likeliest of a robot's solutions, and the other one where that is not clearly less likely."""
-    tried = sorted((k for k in tried if poses.costs[k] < NO_SOLUTION), key=lambda k: float(poses.costs[k]))
-    if not tried:
-        return Lost(NO_POSE)
-    best, alternative = tried[0], None
-    pose = Pose.from_matrix(poses.rotations[best], poses.ts[best])
-    for other in tried[1:]:
-        there = Pose.from_matrix(poses.rotations[other], poses.ts[other])
-        evidence = 0.5 * float(poses.costs[other] - poses.costs[best])
-        if abs(float(there.orientation @ pose.orientation)) < UNLIKE and evidence < math.log(SURE):
-            odds = min(math.exp(evidence), MOST_ODDS)
-            alternative = Alternative(there.position, there.orientation, odds)
-            break
-    rows = slice(bundle.first[best], bundle.first[best + 1])
-    off_px = poses.residuals[rows] * focal[bundle.cameras[rows], None]
-    rms_px = math.sqrt(float(np.mean(np.sum(off_px**2, axis=1))))
-    leds = len(set(bundle.leds[rows].tolist()))
-    return FusedPose(pose, poses.covariances[best].copy(), cameras, leds, rms_px, alternative)
+def _scale(known: Known) -> float:
+    """What residuals so far say of variances that spots tell."""
+    told = (known.chi2 + USUAL_FREEDOM) / (known.freedom + USUAL_FREEDOM)
+    return min(max(told, LEAST_SCALE), MOST_SCALE)

@@ -11,9 +11,8 @@ those by the LED's place, M the motion's covariance between two times and u what
 factorised once, S = L L', and the whitened residuals are minimised over six numbers (Levenberg, Marquardt). Rays whose
 spots are shifted (`spot_shift`) are compared with where the shifted spots would be.
 
-Motion: at a constant velocity and turn in the world, the velocity turning with the robot; what these are off by, and
-white acceleration since. Source of its covariance: Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to
-Tracking and Navigation", 2001, 6.2.2.
+Motion: what `follow` knew before any of the rays, whose errors are then none of theirs: rates, how these change, and
+white jerk since.
 """
 
 import math
@@ -60,10 +59,12 @@ class Bodies(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """How m robots move: ``rates`` (m, 6) m/s and rad/s about the world's axes, with ``covariances`` (m, 6, 6), and
-    ``densities`` (m, 6) of white acceleration, m^2/s^3 and rad^2/s^3.
+    """How m robots move, as known ``ages`` (m,) s before the exposure: ``rates`` (m, 12), velocity and turn, and how
+    these change, m, rad and s about the world's axes; their ``covariances`` (m, 12, 12), and ``densities`` (m, 6) of
+    white jerk since, m^2/s^5 and rad^2/s^5.
     """
 
+    ages: Floats
     rates: Floats
     covariances: Floats
     densities: Floats
@@ -87,14 +88,16 @@ class Bundle(NamedTuple):
 
 class Poses(NamedTuple):
     """Poses of m robots, T_world_robot: ``rotations`` (m, 3, 3) and ``ts`` (m, 3) m, starts first, then what is solved;
-    ``costs`` (m,) are chi squared of all residuals, NO_SOLUTION where there is no pose; ``covariances`` (m, 6, 6) m and
-    rad about the world's axes, and the part of them that is ``noise`` of spots (m, 6, 6), new in every frame;
+    ``costs`` (m,) are chi squared of all residuals, NO_SOLUTION where there is no pose, and ``logdets`` (m,) the
+    logarithms of the determinants of the rays' covariance and of the pose's information; ``covariances`` (m, 6, 6) m
+    and rad about the world's axes, and the part of them that is ``noise`` of spots (m, 6, 6), new in every frame;
     ``residuals`` (n, 2), rays, observed minus predicted.
     """
 
     rotations: Floats
     ts: Floats
     costs: Floats
+    logdets: Floats
     covariances: Floats
     noise: Floats
     residuals: Floats
@@ -104,7 +107,7 @@ class Poses(NamedTuple):
         """Room for so many."""
         m = robots
         return Poses(
-            np.empty((m, 3, 3)), np.empty((m, 3)), np.empty(m), np.empty((m, 6, 6)), np.empty((m, 6, 6)),
+            np.empty((m, 3, 3)), np.empty((m, 3)), np.empty(m), np.empty(m), np.empty((m, 6, 6)), np.empty((m, 6, 6)),
             np.empty((rays, 2)),
         )  # fmt: skip
 
@@ -133,24 +136,36 @@ def work_room(n):
 
 
 @compiled
-def shared_motion(first, second, density):
-    """Covariance of where white acceleration of that density has brought a robot at two times, s, from now."""
-    if first * second <= 0.0:
-        return 0.0
-    a, b = min(abs(first), abs(second)), max(abs(first), abs(second))
-    return density * a * a * (3.0 * b - a) / 6.0
+def _both(first, second):
+    """Covariance of where white jerk of density one has brought a robot at two times, s, since it was zero."""
+    a = max(min(first, second), 0.0)
+    apart = abs(first - second)
+    return a * a * a * (a * a / 20.0 + apart * a / 8.0 + apart * apart / 12.0)
 
 
 @compiled
-def _moved(rotation, t, rates, time, out, out_t):
+def shared_motion(first, second, age):
+    """Covariance of how far white jerk of density one has brought a robot from where it is ``age`` s later, at two
+    times, s, from then.
+    """
+    a, b = age + first, age + second
+    return _both(a, b) - _both(a, age) - _both(age, b) + _both(age, age)
+
+
+@compiled
+def _quadratic(time, age):
+    """What a change of rates by one does to the way from now on to that time."""
+    return 0.5 * ((age + time) ** 2 - age * age)
+
+
+@compiled
+def _moved(rotation, t, rates, time, age, out, out_t):
     """Fill ``out`` (3, 3), ``out_t`` (3,): the pose ``time`` s later."""
-    turn = np.empty((3, 3))
-    half = 0.5 * time
-    exp_into(rates[3] * half, rates[4] * half, rates[5] * half, turn)
+    turn, change = np.empty((3, 3)), _quadratic(time, age)
     for i in range(3):
-        # The arc's chord, to second order.
-        out_t[i] = t[i] + time * (turn[i, 0] * rates[0] + turn[i, 1] * rates[1] + turn[i, 2] * rates[2])
-    exp_into(rates[3] * time, rates[4] * time, rates[5] * time, turn)
+        out_t[i] = t[i] + time * rates[i] + change * rates[6 + i]
+    x, y, z = time * rates[3], time * rates[4], time * rates[5]
+    exp_into(x + change * rates[9], y + change * rates[10], z + change * rates[11], turn)
     product_into(turn, rotation, out)
 
 
@@ -166,7 +181,7 @@ def linearize(k, rotation, t, eyes, bodies, bundle, motion, work, derive):
     for i in range(begin, bundle.first[k + 1]):
         row, camera, time, led = i - begin, bundle.cameras[i], bundle.times[i], bundle.leds[i]
         if time != time_before or camera != camera_before:
-            _moved(rotation, t, rates, time, there, there_t)
+            _moved(rotation, t, rates, time, motion.ages[k], there, there_t)
             product_into(there, bodies.rotations[body], turned)
             view = eyes.rotations[camera]
             product_into(view, turned, plane)
@@ -269,8 +284,8 @@ def fill_covariance(k, rotation, t, eyes, bodies, bundle, motion, work):
     begin = bundle.first[k]
     n = bundle.first[k + 1] - begin
     misfit2 = bundle.misfits[k] ** 2
-    placed, rated = np.empty((2, 6)), np.empty((2, 6))
-    swayed, block = np.empty((2, 6)), np.empty((2, 2))
+    placed, rated, risen = np.empty((2, 6)), np.empty((2, 6)), np.empty((2, 6))
+    age, swayed, block = motion.ages[k], np.empty((2, 6)), np.empty((2, 2))
     rates = motion.covariances[k]
     lights = _most_doubts(k, bodies, bundle)
     light = np.empty((n, 2, max(lights, 1)))
@@ -278,12 +293,17 @@ def fill_covariance(k, rotation, t, eyes, bodies, bundle, motion, work):
         _doubts(k, rotation, t, eyes, bodies, bundle, work, light)
     for i in range(n):
         camera, time = bundle.cameras[begin + i], bundle.times[begin + i]
+        change = _quadratic(time, age)
         for a in range(2):
             for j in range(6):
-                placed[a, j] = rated[a, j] = 0.0
+                placed[a, j] = rated[a, j] = risen[a, j] = 0.0
+                swayed[a, j] = work.by_pose[i, a, j] * motion.densities[k, j]
                 for h in range(6):
                     placed[a, j] += work.by_place[i, a, h] * eyes.places[camera, h, j]
-                    rated[a, j] += time * work.by_pose[i, a, h] * rates[h, j]
+                    if time != 0.0:
+                        move = work.by_pose[i, a, h]
+                        rated[a, j] += move * (time * rates[h, j] + change * rates[6 + h, j])
+                        risen[a, j] += move * (time * rates[h, 6 + j] + change * rates[6 + h, 6 + j])
         for m in range(i + 1):
             other = bundle.times[begin + m]
             block[:, :] = 0.0
@@ -293,11 +313,8 @@ def fill_covariance(k, rotation, t, eyes, bodies, bundle, motion, work):
                 _add(block, work.by_led[i], work.by_led[m], misfit2)
             if time * other != 0.0:
                 _add(block, rated, work.by_pose[m], other)
-                shared = shared_motion(time, other, 1.0)
-                for a in range(2):
-                    for j in range(6):
-                        swayed[a, j] = work.by_pose[i, a, j] * motion.densities[k, j]
-                _add(block, swayed, work.by_pose[m], shared)
+                _add(block, risen, work.by_pose[m], _quadratic(other, age))
+                _add(block, swayed, work.by_pose[m], shared_motion(time, other, age))
             if lights:
                 _add(block, light[i], light[m], 1.0)
             if m == i:
@@ -433,7 +450,8 @@ def _noise(k, bundle, work, covariance, noise):
 
 @compiled
 def _fit(k, rotation, t, eyes, bodies, bundle, motion, work, covariance):
-    """Refine a pose in place with the rays' covariance where it starts; returns chi squared and how far it went.
+    """Refine a pose in place with the rays' covariance where it starts; returns chi squared, `Poses.logdets` and how
+    far it went.
 
     Leaves the whitened derivatives of the last linearization in the ``work``, and fills the ``covariance``.
     """
@@ -442,7 +460,7 @@ def _fit(k, rotation, t, eyes, bodies, bundle, motion, work, covariance):
     trial, trial_t, gone = np.empty((3, 3)), np.empty(3), 0.0
     fill_covariance(k, rotation, t, eyes, bodies, bundle, motion, work)
     if not factorize(work.factor, size):
-        return NO_SOLUTION, 0.0
+        return NO_SOLUTION, 0.0, 0.0
     damping, cost = 0.0, NO_SOLUTION
     for _ in range(STEPS):
         _fill_white(work, size // 2, True)
@@ -476,8 +494,13 @@ def _fit(k, rotation, t, eyes, bodies, bundle, motion, work, covariance):
     _fill_white(work, size // 2, True)
     whiten(work.factor, work.white[:size], size, 7)
     cost = _normal(work, size, normal, right)
-    _damped(normal, right, 0.0, covariance, move)
-    return cost, gone
+    invert(normal, covariance)
+    logdet = 0.0
+    for i in range(size):
+        logdet -= 2.0 * math.log(work.factor[i, i])
+    for i in range(6):
+        logdet -= 2.0 * math.log(normal[i, i])
+    return cost, logdet, gone
 
 
 @compiled
@@ -485,21 +508,21 @@ def solve_one(k, eyes, bodies, bundle, motion, poses):
     """Solve robot k of the bundle: its rows of the `Poses`."""
     begin, end = bundle.first[k], bundle.first[k + 1]
     rotation, t, covariance = poses.rotations[k], poses.ts[k], poses.covariances[k]
-    poses.costs[k] = NO_SOLUTION
+    poses.costs[k], poses.logdets[k] = NO_SOLUTION, 0.0
     covariance[:, :] = poses.noise[k] = 0.0
     for i in range(begin, end):
         poses.residuals[i, :] = 0.0
     if end - begin < 3:
         return
     work = work_room(end - begin)
-    cost = NO_SOLUTION
+    cost, logdet = NO_SOLUTION, 0.0
     for _ in range(AGAIN):
         if not linearize(k, rotation, t, eyes, bodies, bundle, motion, work, True):
             return
-        cost, gone = _fit(k, rotation, t, eyes, bodies, bundle, motion, work, covariance)
+        cost, logdet, gone = _fit(k, rotation, t, eyes, bodies, bundle, motion, work, covariance)
         if gone < FAR:
             break
-    poses.costs[k] = cost
+    poses.costs[k], poses.logdets[k] = cost, logdet
     for i in range(begin, end):
         poses.residuals[i, 0], poses.residuals[i, 1] = work.off[i - begin, 0], work.off[i - begin, 1]
     _noise(k, bundle, work, covariance, poses.noise[k])
@@ -510,3 +533,14 @@ def solve_joint(eyes, bodies, bundle, motion, poses):
     """Solve all robots of the bundle from the starts in the `Poses`, and fill these."""
     for k in range(bundle.bodies.shape[0]):
         solve_one(k, eyes, bodies, bundle, motion, poses)
+
+
+@compiled
+def residuals_at(eyes, bodies, bundle, motion, poses):
+    """Fill the residuals of the `Poses` as they stand."""
+    for k in range(bundle.bodies.shape[0]):
+        begin, end = bundle.first[k], bundle.first[k + 1]
+        work = work_room(end - begin)
+        linearize(k, poses.rotations[k], poses.ts[k], eyes, bodies, bundle, motion, work, False)
+        for i in range(begin, end):
+            poses.residuals[i, 0], poses.residuals[i, 1] = work.off[i - begin, 0], work.off[i - begin, 1]

@@ -126,7 +126,7 @@ distortion_coefficients: {{rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}}
 
 def rig_text(fleet: Fleet) -> str:
     """A rig.yaml of the fleet's robots, in the world."""
-    robots = "\n".join(f"  {json.dumps(robot.id)}: {json.dumps(_words(robot))}" for robot in fleet.robots.values())
+    robots = "\n".join(f"  {json.dumps(robot.id)}: {json.dumps(rig_words(robot))}" for robot in fleet.robots.values())
     names = ", ".join(fleet.views)
     return (
         f"# Cameras joined by asterism fuse: {names}. Their own rigs tell of their lenses and places.\n"
@@ -136,7 +136,7 @@ def rig_text(fleet: Fleet) -> str:
     )
 
 
-def _words(robot: Robot) -> dict[str, object]:
+def rig_words(robot: Robot) -> dict[str, object]:
     """A robot as a rig has it, but for what only cameras need to know of its LEDs."""
     words: dict[str, object] = {"leds": robot.leds.tolist(), "led": {"axis": robot.axis.tolist()}}
     if robot.points:

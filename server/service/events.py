@@ -3,19 +3,40 @@
 Robots' events follow from the frames' results alone, by their exposure times: frames solved again tell the same.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
 from asterism.protocol.codec import to_bytes
 from asterism.protocol.messages import EVENT, Happening, Message
-from asterism.server.chain.frame import FrameResult
-from asterism.server.pose.solve import PoseEstimate
+from asterism.server.pose.solve import Lost
 
 AT_ONCE = 10  # events of a robot, before ...
 EVERY_NS = 500_000_000  # ... one of it is told in so long
 SPACINGS = 3  # of frames: after so many without one they have stopped
 LEFT_THE_RIG = "the rig has it no more"
+
+
+class Answer(Protocol):
+    """A pose, or a `Lost` with its reason."""
+
+    @property
+    def state(self) -> str: ...
+
+
+class Seen(Protocol):
+    """What events follow from: a frame's exposure time, ns, its number, and every robot's answer by its id."""
+
+    @property
+    def exposed_ns(self) -> int: ...
+
+    @property
+    def index(self) -> int: ...
+
+    @property
+    def answers(self) -> Mapping[str, Answer]: ...
 
 
 @dataclass(slots=True)
@@ -78,7 +99,7 @@ class Events:
         self._spacing_s = 0.0  # of the two newest
         self._stopped = False  # as was told
 
-    def add(self, result: FrameResult, session: int) -> list[Message]:
+    def add(self, result: Seen, session: int) -> list[Message]:
         """What is other in this frame than in the one before."""
         self._begin(session)
         now_ns, events = result.exposed_ns, []
@@ -88,7 +109,7 @@ class Events:
             events[0].lasted_s = passed_s
         self._newest, self._stopped, self._spacing_s = (now_ns, result.index), False, passed_s
         for robot, answer in result.answers.items():
-            reason = "" if isinstance(answer, PoseEstimate) else answer.reason
+            reason = answer.reason if isinstance(answer, Lost) else ""
             self._robots.setdefault(robot, _Robot()).stands(answer.state, reason, now_ns, result.index)
         gone = [robot for robot in self._robots if robot not in result.answers]
         for robot in gone:

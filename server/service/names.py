@@ -25,6 +25,8 @@ def refuse_a_taken_name(session: zenoh.Session, camera: str, prefix: str = "") -
             told = decode_rig(reply.ok.payload.to_bytes())
         except InputError:
             continue  # whoever that is, it is no server of ours
+        if camera == keys.FUSED:
+            raise InputError(f"asterism fuse is running already, by {_who(told)}; stop that one first")
         raise InputError(
             f"camera '{camera}' is being served already, by {_who(told)}; stop that one first, or give "
             "this camera another camera_name"
@@ -42,12 +44,14 @@ def _clock(time_ns: int) -> str:
 
 
 def refuse_to_go_unheard(publisher: Publisher, listener: zenoh.Session, where: str) -> None:
-    """Raises InputError when none of the publisher's beats reaches ``listener``, another session at the same place."""
+    """Raises InputError when none of the publisher's beats reaches ``listener``, another session at the same place,
+    ``where`` a person said it.
+    """
     heard = threading.Event()
     with listener.declare_subscriber(publisher.beat_key, lambda _: heard.set()):
         if not heard.wait(HEARD_S):
             raise InputError(
-                f"--connect {where}: what is published there reaches nobody (a server's own listener carries its own "
+                f"{where}: what is published there reaches nobody (a server's own listener carries its own "
                 "keys only; a router may have rules); expected a zenoh router that lets this program publish "
                 f"{publisher.beat_key.rpartition('/')[0]}/**"
             )
@@ -63,6 +67,9 @@ class Rivals:
         self.sentence = ""
         self._publisher = publisher
         self._end = end
+        self._another = "another server of this camera"
+        if publisher.camera == keys.FUSED:
+            self._another = "another asterism fuse"
         self._subscriber = session.declare_subscriber(
             publisher.beat_key, self._beat, allowed_origin=zenoh.Locality.REMOTE
         )
@@ -80,7 +87,7 @@ class Rivals:
         if self.sentence or not beat.started_ns or (beat.started_ns, beat.session) >= self._publisher.age_key:
             return
         self.sentence = (
-            f"another server of this camera is on the network, since {_clock(beat.started_ns)} "
+            f"{self._another} is on the network, since {_clock(beat.started_ns)} "
             f"({sample.key_expr}); it was there first, so this one ends"
         )
         self._end()

@@ -41,7 +41,7 @@ class Publisher:
 
     def __init__(self, session: zenoh.Session, camera: str, rig_payload: bytes, clock: Clock, prefix: str = "") -> None:
         self._session = session
-        self._camera = camera
+        self.camera = camera
         self._prefix = prefix
         self.clock = clock
         self.rig_payload = rig_payload
@@ -62,7 +62,7 @@ class Publisher:
     @property
     def beat_key(self) -> str:
         """The key of the beat."""
-        return self._prefix + keys.beat(self._camera)
+        return self._prefix + keys.beat(self.camera)
 
     @property
     def age_key(self) -> tuple[int, int]:
@@ -109,7 +109,7 @@ class Publisher:
             rate=clock.rate,
             started_ns=clock.started_ns,
         )
-        self.put(Message(keys.beat(self._camera), BEAT, to_bytes(told), now_ns, now_ns, self.beats))
+        self.put(Message(keys.beat(self.camera), BEAT, to_bytes(told), now_ns, now_ns, self.beats))
 
     def show_visible(self, robots: Iterable[str]) -> None:
         """Hold a liveliness token for exactly these robots."""
@@ -117,7 +117,7 @@ class Publisher:
         for robot in self._visible.keys() - wanted:
             self._visible.pop(robot).undeclare()
         for robot in wanted - self._visible.keys():
-            key = self._prefix + keys.visible(self._camera, robot)
+            key = self._prefix + keys.visible(self.camera, robot)
             self._visible[robot] = self._session.liveliness().declare_token(key)
 
     def close(self) -> None:

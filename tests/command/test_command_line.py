@@ -101,7 +101,7 @@ def test_bad_input_gets_one_sentence_and_exit_code_2(
         (("locate", DEMO_RIG, "sim", "-o", out), "sim: has no end; locate takes a folder"),
         (("locate", DEMO_RIG, frames, "-o", tmp_path / "no" / "x"), "there is no folder"),
         (("locate", DEMO_RIG, frames, "-o", out, "--smooth", "--independent"), "--independent and --smooth exclude"),
-        (("locate", DEMO_RIG, frames), "the following arguments are required: -o"),
+        (("locate", DEMO_RIG, frames), "expected -o OUT for lines, --record DIR for a recording, or both"),
         (("serve", DEMO_RIG, frames, "--listen", "here"), "endpoint 'here': expected PROTOCOL/ADDRESS"),
         (
             ("serve", DEMO_RIG, frames, "--listen", "tcp/127.0.0.1:1", "--connect", "tcp/127.0.0.1:2"),

@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from asterism.protocol.codec import encode_rig
+from asterism.protocol import keys
+from asterism.protocol.codec import encode_rig, to_bytes
 from asterism.protocol.geometry import Pose
+from asterism.protocol.messages import FRAME_REPORT, Message
 from asterism.protocol.rig import load_rig
 from asterism.recordings.compare import reports
 from asterism.recordings.reader import Recording
+from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.server.__main__ import main
 from asterism.server.command.fused_line import fused_line
 from asterism.server.fusing.fitting import view_of
@@ -23,6 +26,8 @@ from asterism.server.fusing.memory import Joint
 from asterism.server.fusing.offline import Exposure
 from asterism.server.fusing.sighting import sighting_of
 from tests.command.test_command_line import refused
+from tests.fusing.drawn import sighting
+from tests.service.fusing.speaking import report_of, with_texts
 from tests.several import Drive, facing_pair, frames_of, rigs_at
 from tests.several_files import write_film, write_rigs
 
@@ -207,3 +212,30 @@ def test_what_there_is_nothing_to_write_to_is_said(
     assert "expected -o OUT for lines, --record DIR" in refused(capsys, "locate", str(films / "left.yaml"), str(films))
     told = refused(capsys, "fuse", str(recorded), "-o", "-", "--camera", "up")
     assert "--camera up: is in none of the recordings, expected of left, right" in told
+
+
+def drawn(folder: Path, late_ns: int, frames: int = 140) -> None:
+    """Recordings of two cameras' reports at 60 Hz, without pictures; `right` stamps its frames too late."""
+    rng = np.random.default_rng(3)
+    drive = Drive(("r00",), speed=0.4)
+    for rig in map(with_texts, rigs_at(facing_pair(), robots=1)):
+        view, later_ns = view_of(rig, "here"), late_ns * (rig.camera.name == "right")
+        recorder = Recorder(folder, rig, "drawn", FramesKept(0), wait=True)
+        for k in range(frames):
+            seen = sighting(view, drive(k / 60), START_NS + k * STEP_NS + later_ns, rng)
+            report = report_of(seen, sequence=k)
+            report.spots.radius.extend([2.0] * len(report.spots.x))
+            report.spots.brightness.extend([200.0] * len(report.spots.x))
+            message = Message(keys.frame(rig.camera.name), FRAME_REPORT, to_bytes(report), report.exposed_ns, 0, k)
+            recorder.write([message], None, report.exposed_ns, k)
+        recorder.close({})
+
+
+@pytest.mark.parametrize("late_ns", [0, 8_000_000])
+def test_times_that_disagree_are_said(tmp_path: Path, caplog: pytest.LogCaptureFixture, late_ns: int) -> None:
+    drawn(tmp_path, late_ns)
+    with caplog.at_level("INFO"):
+        assert main(["fuse", str(tmp_path), "-o", str(tmp_path / "fused.jsonl")]) == 0
+    told = [record.getMessage() for record in caplog.records if "robots on the move show" in record.getMessage()]
+    assert len(told) == (late_ns > 0)
+    assert all("that the times of left and right differ by 8." in sentence for sentence in told)

@@ -54,10 +54,10 @@ class Equations:
         diagonal = np.arange(UNKNOWNS)
         own[:, diagonal, diagonal] *= 1.0 + damping
         own[:, diagonal, diagonal] += np.where(self.used, 0.0, 1.0)
-        back = np.linalg.solve(own, self.squares[:, :UNKNOWNS, UNKNOWNS:])
+        back = np.asarray(np.linalg.solve(own, self.squares[:, :UNKNOWNS, UNKNOWNS:]), np.float64)
         rest = self.squares[:, UNKNOWNS:, UNKNOWNS:]
         left = rest - np.swapaxes(self.squares[:, :UNKNOWNS, UNKNOWNS:], 1, 2) @ back
-        p, q = self.layout.width, self.layout.of_leds.start
+        p, q = self.layout.width, self.layout.shared
         matrix, right, before = np.zeros((p, p)), np.zeros(p), np.zeros(p)
         for robot in np.unique(self.robots):
             total, alone = left[self.robots == robot].sum(axis=0), rest[self.robots == robot].sum(axis=0)
@@ -69,7 +69,7 @@ class Equations:
 
     def motion_moves(self, back: Floats, shared: Floats) -> Floats:
         """How the motion (g, 18) then moves."""
-        q = self.layout.of_leds.start
+        q = self.layout.shared
         leds = shared[self.layout.of_leds].reshape(-1, 3 * LEDS)[self.robots]
         step = np.concatenate([np.tile(shared[:q], (len(leds), 1)), leds], axis=1)
         moves: Floats = back[:, :, -1] - (back[:, :, :-1] @ step[..., None])[..., 0]
@@ -101,7 +101,7 @@ class Bundle:
         """What squared residuals are, from their median, in those that they should be."""
         lit = self.moments.lit
         freedom = 1.0 - UNKNOWNS * len(self.moments) / max(2.0 * lit.sum(), 1.0)
-        return max(float(np.median(squared[lit])) / MEDIAN_CHI2 / max(freedom, 0.2), 1e-12)
+        return max(float(np.median(squared[lit])) / MEDIAN_CHI2 / max(float(freedom), 0.2), 1e-12)
 
     def equations(self, belief: Belief, weights: Floats) -> Equations:
         """The normal equations at a belief; ``weights`` (g, n) of the spots."""
@@ -155,7 +155,7 @@ class Bundle:
         known = float(apart @ before.information @ apart)
         if not robust:
             return float(squared.sum()) / scale2 + known
-        return CAUCHY**2 * float(np.log1p(squared / (scale2 * CAUCHY**2)).sum()) + known
+        return float(CAUCHY**2 * np.log1p(squared / (scale2 * CAUCHY**2)).sum()) + known
 
 
 def solved(matrix: Floats, right: Floats) -> Floats:

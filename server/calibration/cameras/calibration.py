@@ -24,6 +24,7 @@ ROUNDS = 3  # of fits, each with the misfit that the one before found
 FAR_OFF = 4.5  # sigmas: spots farther off are left out of the last fits
 FEWEST_MOMENTS = 12
 FOLDS = 5
+WAYS = np.array([0, 0, 1])  # of an LED's error: within its robot's plate, and out of it, which are seldom alike
 TELLS_S = 1.0  # of a clock's standard deviation: above it robots do not move
 
 
@@ -62,7 +63,8 @@ class Placed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CamerasFit:
-    """All cameras in the first's frame; ``misfits_m`` how far off the rigs have robots' LEDs, one sigma; ``moments``
+    """All cameras in the first's frame; ``misfits_m`` how far off the rigs have robots' LEDs, one sigma
+    within the plate; ``moments``
     that were used, ``left_out`` spots; ``noise`` what residuals are in those that the spots' covariances say.
     ``robot_poses``: T_first_robot of every moment by the robot's id, in its middle.
     """
@@ -103,7 +105,7 @@ def calibrate_cameras(
         motion=motion,
     )
     task.given = belief
-    misfits2 = np.full(len(robots), MISFIT_M**2)
+    misfits2 = np.full((len(robots), 2), MISFIT_M**2)
     bundle = task.bundle(moments)
     for _ in range(ROUNDS):
         belief, scale2 = bundle.fitted(belief, task.before(belief, misfits2), robust=True)
@@ -126,9 +128,7 @@ class _Task:
 
     given: Belief
 
-    def __init__(
-        self, robots: Sequence[Robot], lens_errors: Sequence[Floats], layout: Layout, held: Bools
-    ) -> None:
+    def __init__(self, robots: Sequence[Robot], lens_errors: Sequence[Floats], layout: Layout, held: Bools) -> None:
         self.robots, self.lens_errors, self.layout, self.held = robots, lens_errors, layout, held
 
     def bundle(self, moments: Moments, held: Bools | None = None) -> Bundle:
@@ -140,37 +140,56 @@ class _Task:
         information, mean = np.zeros((layout.width, layout.width)), np.zeros(layout.width)
         diagonal = np.zeros(layout.width)
         diagonal[layout.of_clocks] = np.tile([OFFSET_SIGMA_S**-2, DRIFT_SIGMA**-2], layout.cameras - 1)
-        diagonal[layout.of_leds] = np.repeat(1.0 / misfits2, 3 * LEDS)
         mean[layout.of_clocks] = -belief.clocks[1:].ravel()
         mean[layout.of_leds] = -belief.leds.ravel()
         information[np.arange(layout.width), np.arange(layout.width)] = diagonal
+        for k, (robot, misfit2) in enumerate(zip(self.robots, misfits2, strict=True)):
+            plane, rows = robot.T_robot_plane.rotation, layout.of_robot(k)
+            information[rows, rows] = np.kron(np.eye(LEDS), plane @ np.diag(1.0 / misfit2[WAYS]) @ plane.T)
         if layout.lens_widths:
             first = layout.of_lenses.start
             for error, now, given in zip(self.lens_errors, belief.lenses, self.given.lenses, strict=True):
                 rows = slice(first, first + len(error))
-                information[rows, rows] = np.linalg.pinv(error, rcond=1e-10, hermitian=True)
+                information[rows, rows] = _information(error)
                 mean[rows] = values_of(given) - values_of(now)
                 first = rows.stop
         return Before(information, mean)
 
     def misfits2(self, bundle: Bundle, belief: Belief, misfits2: Floats, scale2: float) -> Floats:
-        """The variances of robots' LEDs anew."""
+        """The variances of robots' LEDs anew: (r, 2) m^2, within the plate and out of it."""
         squared = bundle.squared(belief)
         weights = 1.0 / (1.0 + squared / (scale2 * 9.0)) / scale2
         matrix, right, _, _ = bundle.equations(belief, weights).reduced()
         before = self.before(belief, misfits2)
         new = misfits2.copy()
-        for robot in range(len(self.robots)):
-            mine = np.zeros(self.layout.width, bool)
-            mine[self.layout.of_robot(robot)] = True
-            rest = ~mine & bundle.free
-            others = (matrix + before.information)[np.ix_(rest, rest)]
-            across = matrix[np.ix_(rest, mine)]
-            answers = solved(others, np.column_stack([across, (right + before.information @ before.mean)[rest]]))
-            information = matrix[np.ix_(mine, mine)] - across.T @ answers[:, :-1]
-            told = right[mine] - across.T @ answers[:, -1] + information @ belief.leds[robot].ravel()
-            new[robot] = misfit2_of(information, told)
+        joined, wanted = matrix + before.information, right + before.information @ before.mean
+        for k, robot in enumerate(self.robots):
+            plane = np.kron(np.eye(LEDS), robot.T_robot_plane.rotation)
+            led_rows = self.layout.of_robot(k)
+            to_plane = np.eye(self.layout.width)
+            to_plane[led_rows, led_rows] = plane
+            theirs, target = to_plane.T @ joined @ to_plane, to_plane.T @ wanted
+            for way in (0, 1):
+                mine = np.zeros(self.layout.width, bool)
+                mine[led_rows] = np.tile(way == WAYS, LEDS)
+                rest = ~mine & bundle.free
+                across = theirs[np.ix_(rest, mine)]
+                answers = solved(theirs[np.ix_(rest, rest)], np.column_stack([across, target[rest]]))
+                # By the spots alone: without what was known of these before.
+                alone = theirs[np.ix_(mine, mine)] - np.eye(mine.sum()) / misfits2[k, way]
+                known = (belief.leds[k] @ robot.T_robot_plane.rotation)[:, way == WAYS].ravel()
+                pull = target[mine] + known / misfits2[k, way]
+                information = alone - across.T @ answers[:, :-1]
+                told = pull - across.T @ answers[:, -1] + information @ known
+                new[k, way] = misfit2_of(information, told)
         return new
+
+
+def _information(error: Floats) -> Floats:
+    """The inverse of a lens' covariance; what is known exactly is known nearly so, to be invertible."""
+    sizes = np.sqrt(np.diag(error)) + np.concatenate([np.full(4, 1e-6), np.full(len(error) - 4, 1e-9)])
+    values, vectors = np.linalg.eigh(error / np.outer(sizes, sizes))
+    return np.asarray(vectors @ np.diag(1.0 / np.maximum(values, 1e-6)) @ vectors.T / np.outer(sizes, sizes))
 
 
 def _held_clocks(seen: Sequence[Seen], start: Start, layout: Layout) -> Bools:
@@ -257,15 +276,13 @@ def _told(
                 lens_covariance=covariance[lens, lens] if lens else None,
             )
         )
-    misfits = {robot.id: float(np.sqrt(v)) for robot, v in zip(task.robots, misfits2, strict=True)}
+    misfits = {robot.id: float(np.sqrt(v)) for robot, v in zip(task.robots, misfits2[:, 0], strict=True)}
     return CamerasFit(
         tuple(cameras), misfits, len(moments), left_out, float(np.sqrt(scale2)), _robot_poses(task, moments, belief)
     )
 
 
-def _covariances(
-    task: _Task, bundle: Bundle, belief: Belief, misfits2: Floats, scale2: float
-) -> tuple[Floats, Floats]:
+def _covariances(task: _Task, bundle: Bundle, belief: Belief, misfits2: Floats, scale2: float) -> tuple[Floats, Floats]:
     """Of what moments share (p, p), in the layout's order; and of the cameras' places what lenses, which were not
     fitted, add.
     """

@@ -1,4 +1,4 @@
-"""Moments: windows of a few frames in which two or more cameras see a robot, so many as tell enough, spread over all."""
+"""Moments: windows of a few frames in which cameras see a robot, so many as tell enough, spread over all."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from asterism.protocol.constellation import LEDS
 from asterism.protocol.geometry import Floats
-from asterism.server.calibration.cameras.start import Start
 from asterism.server.calibration.cameras.motion import DEGREE, Motion
+from asterism.server.calibration.cameras.start import Start
 from asterism.server.calibration.cameras.views import TILTS, Ints, Seen
 from asterism.server.pose.matched import LEAST_SIGMA_PX
 
@@ -133,14 +133,14 @@ def _chosen(windows: "list[list[tuple[int, int]]]", cameras: int) -> "list[list[
 def _row_times(seen: Seen, centres: Floats) -> Floats:
     """When a rolling shutter sees the spots (6,), s after mid-frame; 0 of a global one."""
     line_s = seen.rig.capture.line_time_us * 1e-6
-    return np.nan_to_num(centres[:, 1] - 0.5 * (seen.rig.camera.height - 1)) * line_s
+    return np.asarray(np.nan_to_num(centres[:, 1] - 0.5 * (seen.rig.camera.height - 1)) * line_s, np.float64)
 
 
 def _information(covariances: Floats) -> Floats:
     """Inverses (6, 2, 2) of (6, 3); zero where there is no spot."""
     xx, xy, yy = covariances.T + np.array([[LEAST_SIGMA_PX**2], [0.0], [LEAST_SIGMA_PX**2]])
     inverse = np.stack([np.stack([yy, -xy], -1), np.stack([-xy, xx], -1)], -2) / (xx * yy - xy * xy)[:, None, None]
-    return np.nan_to_num(inverse)
+    return np.asarray(np.nan_to_num(inverse), np.float64)
 
 
 def _span(times: Floats, period_s: float) -> tuple[float, float, int]:

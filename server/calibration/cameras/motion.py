@@ -1,7 +1,7 @@
 """How robots move in moments: windows of a few frames in which place and turn are polynomials of the time.
 
-Of three frames, polynomials of degree 2 say no more than three poses would; so cameras that expose together lose nothing
-by it, and of those that do not, each is asked where the robot was when it exposed itself.
+Of three frames, polynomials of degree 2 say no more than three poses would; so cameras that expose together lose
+nothing by it, and of those that do not, each is asked where the robot was when it exposed itself.
 """
 
 from dataclasses import dataclass, replace

@@ -37,7 +37,7 @@ class Belief:
     def true_times(self, moments: Moments) -> Floats:
         """The spots' times (g, n) by the first camera's clock."""
         offset, drift = np.moveaxis(self.clocks[moments.cameras], -1, 0)
-        return moments.times_s - offset - drift * (moments.times_s - self.at_s)
+        return np.asarray(moments.times_s - offset - drift * (moments.times_s - self.at_s), np.float64)
 
     def moved(self, layout: "Layout", shared: Floats, moves: Floats) -> "Belief":
         """Changed by the numbers (p,) that moments share, as `Layout` orders them, and by those of each (g, 18)."""
@@ -49,9 +49,7 @@ class Belief:
         lenses = self.lenses
         if layout.lens_widths:
             changes = np.split(shared[layout.of_lenses], np.cumsum(layout.lens_widths)[:-1])
-            lenses = tuple(
-                camera_of(lens, values_of(lens) + by) for lens, by in zip(lenses, changes, strict=True)
-            )
+            lenses = tuple(camera_of(lens, values_of(lens) + by) for lens, by in zip(lenses, changes, strict=True))
         return replace(
             self,
             rotations=exp_rotations(step[:, 3:]) @ self.rotations,
@@ -75,27 +73,37 @@ class Layout:
 
     @property
     def of_places(self) -> slice:
+        """Six of every camera but the first."""
         return slice(0, 6 * (self.cameras - 1))
 
     @property
     def of_clocks(self) -> slice:
-        return slice(self.of_places.stop, self.of_places.stop + 2 * (self.cameras - 1))
+        """Two of every camera but the first."""
+        return slice(6 * (self.cameras - 1), 8 * (self.cameras - 1))
 
     @property
     def of_lenses(self) -> slice:
-        return slice(self.of_clocks.stop, self.of_clocks.stop + sum(self.lens_widths))
+        """Each camera's in its turn."""
+        return slice(8 * (self.cameras - 1), self.shared)
 
     @property
     def of_leds(self) -> slice:
-        return slice(self.of_lenses.stop, self.of_lenses.stop + 3 * LEDS * self.robots)
+        """Eighteen of every robot."""
+        return slice(self.shared, self.width)
+
+    @property
+    def shared(self) -> int:
+        """How many there are but for the LEDs."""
+        return 8 * (self.cameras - 1) + sum(self.lens_widths)
 
     @property
     def width(self) -> int:
-        return self.of_leds.stop
+        """How many there are."""
+        return self.shared + 3 * LEDS * self.robots
 
     def of_robot(self, robot: int) -> slice:
         """Of one robot's LEDs."""
-        first = self.of_leds.start + 3 * LEDS * robot
+        first = self.shared + 3 * LEDS * robot
         return slice(first, first + 3 * LEDS)
 
 
@@ -112,7 +120,7 @@ class Predictor:
 
     def residuals(self, belief: Belief) -> Floats:
         """Spots less where they are predicted (g, n, 2), px; infinite behind the camera."""
-        arms, in_camera = self._points(belief)[:2]
+        in_camera = self._points(belief)[1]
         rays = in_camera[..., :2] / np.maximum(in_camera[..., 2:], BEHIND) + self._shifts(belief)
         off = self.moments.pixels - self._pixels(belief, rays)
         return np.where(in_camera[..., 2:] > BEHIND, off, np.inf)
@@ -136,24 +144,23 @@ class Predictor:
         by_point = by_ray @ _ray_by_point(in_camera) @ back  # in the first camera's frame
         by_motion, rates = belief.motion.derivatives(s, arms, vectors)
         g, n = moments.cameras.shape
-        q = layout.of_leds.start
+        q = layout.shared
         out = np.zeros((g, n, 2, UNKNOWNS + q + 3 * LEDS))
         out[..., :UNKNOWNS] = (by_point @ by_motion) * belief.motion.used()[:, None, None, :]
         from_camera = arms + belief.motion.at(belief.true_times(moments))[1] - belief.places[moments.cameras]
         by_place = -np.concatenate([by_point, by_point @ turning(from_camera)], axis=-1)
         by_time = -(by_point @ rates[..., None])[..., 0]
         by_clock = np.stack([by_time, by_time * (moments.times_s - belief.at_s)[..., None]], axis=-1)
-        for c, rows in enumerate(self._rows):
+        for c, (rows, spots) in enumerate(self._rows):
             if c > 0:
-                first = UNKNOWNS + layout.of_places.start + 6 * (c - 1)
-                out[(*rows, slice(None), slice(first, first + 6))] = by_place[rows]
+                first = UNKNOWNS + 6 * (c - 1)
+                out[rows, spots, :, first : first + 6] = by_place[rows, spots]
                 first = UNKNOWNS + layout.of_clocks.start + 2 * (c - 1)
-                out[(*rows, slice(None), slice(first, first + 2))] = by_clock[rows]
+                out[rows, spots, :, first : first + 2] = by_clock[rows, spots]
             if layout.lens_widths:
                 first = UNKNOWNS + layout.of_lenses.start + sum(layout.lens_widths[:c])
-                points = np.concatenate([rays[rows], np.ones((len(rows[0]), 1))], axis=-1)
-                columns = slice(first, first + layout.lens_widths[c])
-                out[(*rows, slice(None), columns)] = pixels_by_lens(belief.lenses[c], points)
+                points = np.concatenate([rays[rows, spots], np.ones((len(rows), 1))], axis=-1)
+                out[rows, spots, :, first : first + layout.lens_widths[c]] = pixels_by_lens(belief.lenses[c], points)
         by_led = by_point @ turns
         for led in range(LEDS):
             first = UNKNOWNS + q + 3 * led
@@ -165,7 +172,7 @@ class Predictor:
         its share of the moment, rotation vector and the robot's rotation.
         """
         moments = self.moments
-        g, n = moments.cameras.shape
+        n = moments.cameras.shape[1]
         s, places, turns, vectors = belief.motion.at(belief.true_times(moments))
         leds = np.tile((self._leds + belief.leds)[moments.robots], (1, n // LEDS, 1))
         arms = (turns @ leds[..., None])[..., 0]

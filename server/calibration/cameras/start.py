@@ -16,8 +16,8 @@ from asterism.server.calibration.cameras.views import TILTS, Ints, Seen
 from asterism.server.fusing.clocks import ClockFit, clock_between
 
 WITHIN_S = 5.0  # clocks may be so far apart
-TRIED = 60  # poses of a pair of cameras that propose a place
-COMPARED = 400  # that are asked what they think of it
+TRIED = 30  # poses of a pair of cameras that propose a place
+COMPARED = 200  # that are asked what they think of it
 ARM_M = 0.05  # an angle counts by what it moves there
 AGREES_M = 0.02
 FEWEST_AGREE = 5

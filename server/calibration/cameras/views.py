@@ -1,4 +1,4 @@
-"""What one camera saw of every robot, from the frame reports of a recording: labelled spots, and poses to start from."""
+"""What one camera saw of every robot, from frame reports: labelled spots, and poses to start from."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -25,7 +25,7 @@ Ints = NDArray[np.int64]
 class Views:
     """m times that one camera saw a robot, in the order of time.
 
-    ``times_s`` (m,) by the camera's clock, after ``Seen.origin_ns``; ``robots`` (m,) by their place in the list that
+    ``times_s`` (m,) by the camera's clock; ``robots`` (m,) by their place in the list that
     all cameras share; ``centres_px`` (m, 6, 2), nan for LEDs not seen, ``covariances_px2`` (m, 6, 3) xx, xy, yy;
     ``rotations`` (m, 2, 3, 3) and ``ts`` (m, 2, 3) T_camera_robot, both tilts, the second nan where there is one only;
     ``spreads`` (m, 3, 3) m^2, of the first's position of the LEDs' mean.
@@ -58,11 +58,12 @@ class Views:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What a camera's recording holds: its rig, views, how many frames; ``origin_ns`` is when its clock shows 0 s."""
+    """What a camera's recording holds: its rig, the views, how many frames, and the times of the first and the last."""
 
     rig: Rig
     views: Views
     frames: int
+    span_s: tuple[float, float] = (0.0, 0.0)
     source: str = ""
     camera: str = field(init=False)
 
@@ -73,27 +74,27 @@ class Seen:
 def views_of(
     reports: "Iterable[tuple[pb.FrameReport, Rig]]", rig: Rig, robots: Sequence[str], origin_ns: int, source: str
 ) -> Seen:
-    """The views in frame reports, each with the rig that was in force for it.
+    """The views in frame reports, each with the rig that was in force for it; times are after ``origin_ns``.
 
     Raises InputError for a report that does not fit its rig, or images of another size than ``rig`` is for.
     """
     rows: list[tuple[float, int, Floats, Floats, Floats, Floats, Floats]] = []
-    frames = 0
+    frames, first_s, last_s = 0, np.inf, -np.inf
     for report, then in reports:
-        frames += 1
         if (then.camera.width, then.camera.height) != (rig.camera.width, rig.camera.height):
             raise InputError(
                 f"{source}: images of {then.camera.width}x{then.camera.height} px, expected "
                 f"{rig.camera.width}x{rig.camera.height} px as the rig of camera {rig.camera.name} has them"
             )
         time_s = (report.exposed_ns - origin_ns) * 1e-9
+        frames, first_s, last_s = frames + 1, min(first_s, time_s), max(last_s, time_s)
         rows += [(time_s, *row) for row in _rows(report, then, robots, source)]
     rows.sort(key=lambda row: row[0])
     columns = list(zip(*rows, strict=True)) or [()] * 7
     times, which = np.array(columns[0], np.float64), np.array(columns[1], np.int64)
     shapes = ((LEDS, 2), (LEDS, 3), (TILTS, 3, 3), (TILTS, 3), (3, 3))
     arrays = [np.array(c, np.float64).reshape(-1, *shape) for c, shape in zip(columns[2:], shapes, strict=True)]
-    return Seen(rig, Views(times, which, *arrays), frames, source)
+    return Seen(rig, Views(times, which, *arrays), frames, (first_s, last_s), source)
 
 
 def _rows(

@@ -73,11 +73,11 @@ def report_text(fit: CameraFit, target: str, source: str, held_out: dict[str, fl
     return "\n".join(lines) + "\n"
 
 
-def refit_report_text(camera: Camera, covariance: Floats, source: str, views: int) -> str:
+def refit_report_text(camera: Camera, covariance: Floats, source: str, views: int, by: str = "calibrate z") -> str:
     """What a refit of the lens knows of its own errors: ``covariance`` (p, p) of fx, fy, cx, cy and coefficients."""
     lines = [
-        "# Made by asterism calibrate z: the lens refitted to surveyed poses.",
-        "made_by: calibrate z",
+        f"# Made by asterism {by}: the lens refitted to poses.",
+        f"made_by: {by}",
         f"source: {_quoted(source)}",
         f"model: {camera.model}",
         f"views: {views}",

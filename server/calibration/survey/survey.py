@@ -2,7 +2,7 @@
 
 One line a frame: ``{"frame": "00012.png", "robots": [{"id": "alpha", "position": [x, y, z], "orientation": [x, y, z,
 w]}]}``. A pose is T_world_robot where the rig places its camera in a world and T_camera_robot where it does not (for
-`calibrate world` always T_world_robot). What else locate and simulate write is accepted and not looked at.
+`calibrate world` always T_world_robot). What else locate, fuse and simulate write is accepted and not looked at.
 
 A file whose name ends in `.csv` is a spreadsheet's, as `survey_csv` says.
 """
@@ -22,10 +22,22 @@ from asterism.server.calibration.survey.survey_csv import SUFFIX as CSV
 from asterism.server.calibration.survey.survey_csv import SurveyRows, read_survey_csv
 
 LONGEST = 256 << 20  # bytes of a survey
-_LINE_KEYS = ("frame", "robots", "exposed_ns", "lost")
+_LINE_KEYS = ("frame", "robots", "exposed_ns", "lost", "left_out")
 _ROBOT_KEYS = (
     *("id", "position", "orientation"),
-    *("state", "covariance", "leds", "rms_px", "alternative", "visible", "extrapolated", "smoothed", "filter"),
+    *(
+        "state",
+        "covariance",
+        "leds",
+        "rms_px",
+        "alternative",
+        "visible",
+        "extrapolated",
+        "smoothed",
+        "filter",
+        "velocity",
+        "cameras",
+    ),
 )
 
 
@@ -46,11 +58,12 @@ class SurveyedPose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurveyedFrame:
-    """One line of a survey."""
+    """One line of a survey; ``exposed_ns`` is None where it tells no time of its own."""
 
     name: str
     line: int
     robots: dict[str, SurveyedPose]
+    exposed_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +145,8 @@ def _frame(line: str, where: str, number: int, robots: Collection[str], orientat
             if abs(length - 1.0) > 1e-3:
                 raise part.error("orientation", f"a quaternion of length {length:g}, expected x, y, z, w of length 1")
         found[robot] = SurveyedPose(robot, position, orientation)
-    return SurveyedFrame(name, number, found)
+    exposed_ns = section.integer("exposed_ns", 0, (1 << 63) - 1) if "exposed_ns" in section else None
+    return SurveyedFrame(name, number, found, exposed_ns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,120 @@
+"""Robots solved from all rays of all cameras that see them, each start by itself."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.protocol.geometry import Floats, Pose, log_rotation
+from asterism.server.chain.answers import SURE
+from asterism.server.fusing.fused import FusedPose
+from asterism.server.fusing.gather import Sight, Wanted
+from asterism.server.fusing.joint_solve import Bundle, Poses, solve_joint
+from asterism.server.pose.choose import MOST_ODDS
+from asterism.server.pose.planar import NO_SOLUTION
+from asterism.server.pose.solve import Alternative
+from asterism.server.pose.track import TILT_SIGMA
+
+UNLIKE = math.cos(math.radians(2.5))  # half of an angle from which on two poses are two
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """A robot's pose T_world_robot by its `Wanted`: ``covariance`` (6, 6) as of a `FusedPose`, the part of it that is
+    ``noise`` (6, 6); chi squared of the residuals, ``cost``; ``residuals`` (n, 2), rays, of the ``cameras`` (n,) by
+    their numbers and the ``leds`` (n,). ``evidence`` for it over the ``alternative``, nats.
+    """
+
+    wanted: Wanted
+    pose: Pose
+    covariance: Floats
+    noise: Floats
+    cost: float
+    residuals: Floats
+    cameras: NDArray[np.int64]
+    leds: NDArray[np.int64]
+    alternative: Alternative | None = None
+    evidence: float = math.log(MOST_ODDS)
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the residuals."""
+        return 2 * len(self.leds) - 6
+
+
+def solutions(wanted: Sequence[Wanted], sight: Sight) -> list[Solution | None]:
+    """Each of the wanted robots by itself; none where there is no pose."""
+    if not wanted:
+        return []
+    bundle, motion, poses = sight.bundle(wanted)
+    solve_joint(sight.eyes, sight.bodies, bundle, motion, poses)
+    return [_solution(k, one, bundle, poses) for k, one in enumerate(wanted)]
+
+
+def _solution(k: int, wanted: Wanted, bundle: Bundle, poses: Poses) -> Solution | None:
+    if not poses.costs[k] < NO_SOLUTION:
+        return None
+    rows = slice(bundle.first[k], bundle.first[k + 1])
+    return Solution(
+        wanted,
+        Pose.from_matrix(poses.rotations[k], poses.ts[k]),
+        poses.covariances[k],
+        poses.noise[k],
+        float(poses.costs[k]),
+        poses.residuals[rows],
+        bundle.cameras[rows],
+        bundle.leds[rows],
+    )
+
+
+def tilt_squares(foreseen: Pose, pose: Pose) -> float:
+    """Squared sigmas by which a tilt is off what was foreseen."""
+    turn = log_rotation(pose.rotation @ foreseen.rotation.T)
+    return float(turn @ turn) / TILT_SIGMA**2
+
+
+def are_unlike(one: Pose, other: Pose) -> bool:
+    """Whether two poses are turned so unlike that they are two tilts."""
+    return abs(float(one.orientation @ other.orientation)) < UNLIKE
+
+
+def unlike_starts(starts: Sequence[Pose]) -> list[Pose]:
+    """The starts without those that are turned as one before them."""
+    kept = [starts[0]]
+    for start in starts[1:]:
+        if all(are_unlike(start, other) for other in kept):
+            kept.append(start)
+    return kept
+
+
+def likelier(found: Sequence[Solution | None], leaning: Sequence[float]) -> Solution | None:
+    """The likeliest of one robot's solutions, with the other tilt where that is not clearly less likely; ``leaning``
+    are nats that earlier exposures have for each.
+    """
+    some = [(0.5 * one.cost - lean, one) for one, lean in zip(found, leaning, strict=True) if one is not None]
+    if not some:
+        return None
+    some.sort(key=lambda entry: entry[0])
+    (least, best), others = some[0], some[1:]
+    for cost, other in others:
+        if are_unlike(best.pose, other.pose):
+            evidence = min(cost - least, math.log(MOST_ODDS))
+            told = Alternative(other.pose.position, other.pose.orientation, math.exp(evidence))
+            return replace(best, alternative=told if told.odds < SURE else None, evidence=evidence)
+    return best
+
+
+def told(found: Solution, sight: Sight, scale: float, left_out: dict[str, str]) -> FusedPose:
+    """A solution as fusing tells it: its covariance times ``scale``."""
+    off_px = found.residuals * sight.focal_px[found.cameras, None]
+    return FusedPose(
+        found.pose,
+        scale * found.covariance,
+        tuple(sorted(found.wanted.spots)),
+        len(set(found.leds.tolist())),
+        math.sqrt(float(np.mean(np.sum(off_px**2, axis=1)))),
+        found.alternative,
+        left_out,
+    )
