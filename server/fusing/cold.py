@@ -77,12 +77,7 @@ def _around(joined: Joined, likely: Sequence[Hypothesis]) -> NDArray[np.bool_]:
     """Which spots (n,) stand where robots may be."""
     near = np.zeros(len(joined.scene.rays), np.bool_)
     for one in likely:
-        extent = one.whose.extent
-        for c, (a, b) in enumerate(pairwise(joined.scene.first)):
-            seen = joined.scene.turns[c] @ (one.state.t - joined.scene.origins[c])
-            if seen[2] > 0.0:
-                away = np.linalg.norm(joined.scene.rays[a:b] - seen[:2] / seen[2], axis=1)
-                near[a:b] |= away < extent / seen[2]
+        near |= joined.near(one.state.t, one.whose.extent)
     return near
 
 

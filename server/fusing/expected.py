@@ -31,6 +31,9 @@ def completed(
     """A robot's spots ``labels`` (C, 6) that cameras claim, and what else is ``free`` (n,) near by in any camera; None
     where that changes nothing.
     """
+    lacking = np.repeat((labels < 0).any(axis=1), np.diff(joined.scene.first))
+    if not (free & lacking & joined.near(starts[0].map(robot.T_robot_plane.position), robot.extent)).any():
+        return None
     told = [joined.explain(robot, start, labels, free.copy()) for start in starts]
     fitting = sorted((one for one in told if one is not None and holds(one)), key=lambda one: -one.odds)
     if not fitting:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +93,16 @@ class Joined:
         """Of sightings, one at least."""
         newest = max(sighting.exposed_ns for sighting in sightings)
         return Joined(fleet, tuple(sightings), foreseen, scene_of(sightings), newest, room_for(len(sightings)))
+
+    def near(self, place: Floats, away_m: float) -> NDArray[np.bool_]:
+        """Which spots (n,) stand so near to a place (3,) in the world, as their cameras see it."""
+        near = np.zeros(len(self.scene.rays), np.bool_)
+        for c, (a, b) in enumerate(pairwise(self.scene.first.tolist())):
+            x, y, z = (self.scene.turns[c] @ (place - self.scene.origins[c])).tolist()
+            if z > 0.0 and a < b:
+                off = self.scene.rays[a:b] - (x / z, y / z)
+                near[a:b] = (off * off).sum(axis=1) < (away_m / z) ** 2
+        return near
 
     def no_labels(self) -> Ints:
         """Labels (C, 6) of no spot."""

@@ -1,7 +1,8 @@
 """Who is who for several cameras that see three or four LEDs each: `python -m tests.measure.joined_identity`.
 
 `drawn`: spots at their true places with noise (0.05 px an axis), which no camera claims, found from each exposure
-alone. `rendered [frames]`: rendered films, located by each camera's own chain, cold (every frame alone) and followed.
+alone; `film`: the same followed. `cold`: rendered frames, located by each camera's own chain, every frame alone;
+`followed`: rendered films.
 Of a robot two cameras see three or four LEDs each, random ones. "wrong": more than 5 mm or 3 degrees off, or beyond
 one in a million of its covariance; "tilt": two poses were told, of which the likelier is off and the other right.
 """
@@ -36,6 +37,12 @@ from tests.several import Drive, facing_pair, frames_of, looking_at, rigs_at
 FAR_M, FAR_RAD = 0.005, math.radians(3.0)
 BEYOND = 38.3  # chi squared of six degrees of freedom: one in a million
 PERIOD_NS = 16_666_667
+HOW = {
+    "drawn": "drawn spots, every exposure alone",
+    "film": "drawn spots, followed",
+    "cold": "rendered, every frame alone",
+    "followed": "rendered, followed",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,16 +115,17 @@ def drive_of(case: Case, rigs: list[Rig], seed: int) -> Drive:
 Exposure = tuple[dict[str, Pose], list[Sighting]]
 
 
-def drawn_exposures(case: Case, count: int, seed: int) -> Iterator[Exposure]:
-    """Exposures of drawn spots, far apart in time."""
+def drawn_exposures(case: Case, count: int, seed: int, alone: bool = True) -> Iterator[Exposure]:
+    """Exposures of drawn spots, far apart in time, or those of a film."""
+    period = 370_000_000 if alone else PERIOD_NS
     rigs, rng, lights = rigs_of(case, seed), np.random.default_rng([seed, 1]), Lights(case, seed)
     drive, believed = drive_of(case, rigs, seed), [known(rig, case) for rig in rigs]
     for frame in range(count):
-        poses, sightings = drive(0.37 * frame), []
+        poses, sightings = drive(1e-9 * period * frame), []
         everybody = {robot.id: (robot, poses[robot.id]) for robot in rigs[0].robots}
         for rig in believed:
             lit = {robot: np.flatnonzero(lights(rig.camera.name, robot, frame)) for robot in everybody}
-            sighting = drawn(rig, everybody, lit, rng, case.glints, exposed_ns=frame * 370_000_000)
+            sighting = drawn(rig, everybody, lit, rng, case.glints, exposed_ns=frame * period)
             sightings.append(sighting)
         yield poses, sightings
 
@@ -213,18 +221,17 @@ def _row(table: Table, case: Case, told: Tally) -> None:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("how", choices=["drawn", "cold", "followed"], nargs="?", default="drawn")
+    parser.add_argument("how", choices=list(HOW), nargs="?", default="drawn")
     parser.add_argument("--frames", type=int, default=300, help="exposures of each case")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", type=int, help="number of the only case")
     arguments = parser.parse_args()
     console = Console(width=120)
-    table = _table({"drawn": "drawn spots, every exposure alone", "cold": "rendered, every frame alone",
-                    "followed": "rendered, followed"}[arguments.how])  # fmt: skip
+    table = _table(HOW[arguments.how])
     for case in CASES if arguments.only is None else CASES[arguments.only :][:1]:
-        alone = arguments.how != "followed"
-        if arguments.how == "drawn":
-            exposures = drawn_exposures(case, arguments.frames, arguments.seed)
+        alone = arguments.how in ("drawn", "cold")
+        if arguments.how in ("drawn", "film"):
+            exposures = drawn_exposures(case, arguments.frames, arguments.seed, alone)
         else:
             exposures = rendered_exposures(case, arguments.frames, arguments.seed, alone)
         told = tally(case, exposures, alone, console)
