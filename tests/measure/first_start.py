@@ -22,6 +22,8 @@ from typing import Any
 import numpy as np
 from numba.core import event
 
+from asterism.protocol import asterism_pb2 as pb
+from asterism.protocol.geometry import Pose
 from asterism.protocol.rig import ESTIMATORS, load_rig
 from asterism.server import Frame, Tracks, localize
 from asterism.server.centres.centre import REFINERS
@@ -101,28 +103,28 @@ def fuse() -> None:
     from asterism.server.fusing.fleet import Fleet, View
     from asterism.server.fusing.fuse import fuse as join
     from asterism.server.fusing.memory import Joint
-    from tests.fusing.spotted import drawn
+    from tests.fusing.drawn import Seen, sighting
     from tests.several import Drive, facing_pair, looking_at, rigs_at
 
     rng = np.random.default_rng(0)
     rigs = rigs_at([*facing_pair(), looking_at(np.array([0.1, 0.8, 1.0]), np.zeros(3))], 3)
-    robots = {robot.id: robot for robot in rigs[0].robots}
-    drive, fleet = Drive(tuple(robots)), Fleet.of([View(rig) for rig in rigs])
-    for seen in (range(6), range(4), (0, 2, 4)):
+    drive, views = Drive(tuple(robot.id for robot in rigs[0].robots)), [View(rig) for rig in rigs]
+    fleet = Fleet.of(views)
+    for leds in ((0, 1, 2, 3, 4, 5), (0, 1, 2, 3), (0, 2, 4)):
         joint = Joint.none()
         for k in range(12):
             sightings = []
-            for camera, rig in enumerate(rigs):
+            for camera, view in enumerate(views):
                 exposed_ns = 10**18 + k * 16_666_667 + (k > 5) * camera * 4_000_000
-                poses = drive((exposed_ns - 10**18) * 1e-9)
-                there = {name: (robot, poses[name]) for name, robot in robots.items()}
-                claimed = poses if len(seen) > 3 and k % 4 else {}
+                place = view.T_world_camera
                 off = np.array([0.01 * (camera == 2 and k > 8), 0.0, 0.0])
-                stands = replace(
-                    rig, T_world_camera=replace(rig.T_world_camera, position=rig.T_world_camera.position + off)
-                )
-                spots = drawn(stands, there, dict.fromkeys(there, seen), rng, 3, claimed, exposed_ns)
-                sightings.append(replace(spots, view=fleet.views[rig.camera.name], T_world_camera=rig.T_world_camera))
+                seen = Seen(Pose(place.position + off, place.orientation), lit=dict.fromkeys(fleet.robots, leds))
+                shown = sighting(view, drive((exposed_ns - 10**18) * 1e-9), exposed_ns, rng, seen)
+                if len(leds) < 4 or k % 4 == 0:  # nobody knows whose they are
+                    nobody = np.full(len(shown.robots), -1)
+                    lost = {robot: pb.RobotReport(id=robot, state=pb.LOST) for robot in shown.told}
+                    shown = replace(shown, robots=nobody, leds=nobody.copy(), told=lost)
+                sightings.append(shown)
             for together in [sightings] if k <= 5 else [[one] for one in sightings]:
                 _, joint = join(together, fleet, joint)
 
