@@ -8,12 +8,13 @@ to try, and over whatever explains the same spots, or the same robot elsewhere.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.protocol.rig import Robot
+from asterism.protocol.rig import Rig, Robot
 from asterism.server.centres.blobs import Ints
 from asterism.server.fusing.arrays import still
 from asterism.server.fusing.decide import LEAST_ODDS, Doubts, decided
@@ -25,8 +26,9 @@ from asterism.server.pose.fit import SYSTEMATIC_PX
 
 LEAST = 6  # LEDs seen in all cameras together
 SHARP_PX = 0.08  # what a good rig is off
-GUESSES = 96  # that are looked into
-MOST = 20_000  # poses that are tried in one exposure
+GUESSES = 96  # that are kept
+EXPLAINED = 40  # of them, that are looked into
+MOST = 10_000  # poses that are tried in one exposure
 AT_ONCE = 1500  # before what they explain is looked into
 MOST_THERE = 20_000  # where a robot may be, before that is decided
 STRIDE = 7919  # a prime: another exposure begins elsewhere
@@ -53,8 +55,7 @@ def searched(
         if likely:
             # Nothing is decided before all is tried that the same spots may be.
             there = free & _around(joined, likely)
-            others, more_tried, _ = _explanations(joined, sought, there, (MOST_THERE, 0))
-            told, tried = told + others, tried + more_tried
+            told = told + _explanations(joined, sought, there, (MOST_THERE, 0))[0]
         more, doubtful = decided(_best_of_each(told))
         found, doubts = found + more, doubts | doubtful
         # Spots that are explained are searched no more.
@@ -76,9 +77,9 @@ def _around(joined: Joined, likely: Sequence[Hypothesis]) -> NDArray[np.bool_]:
     """Which spots (n,) stand where robots may be."""
     near = np.zeros(len(joined.scene.rays), np.bool_)
     for one in likely:
-        extent = joined.fleet.robots[one.robot].extent
+        extent = one.whose.extent
         for c, (a, b) in enumerate(pairwise(joined.scene.first)):
-            seen = joined.scene.turns[c] @ (one.pose.position - joined.scene.origins[c])
+            seen = joined.scene.turns[c] @ (one.state.t - joined.scene.origins[c])
             if seen[2] > 0.0:
                 away = np.linalg.norm(joined.scene.rays[a:b] - seen[:2] / seen[2], axis=1)
                 near[a:b] |= away < extent / seen[2]
@@ -94,7 +95,7 @@ def _explanations(
     guesses, tried, turns = _guesses(joined, sought, free, limits)
     told: list[Hypothesis] = []
     order = np.argsort(-guesses.seen, kind="stable")
-    for k in order[guesses.seen[order] >= LEAST]:
+    for k in order[guesses.seen[order] >= LEAST][:EXPLAINED]:
         number, camera, *rest = guesses.who[k].tolist()
         spots, leds = rest[:3], rest[3:6]
         robot = sought[number]
@@ -146,8 +147,7 @@ def _guesses(
         np.array([body.systematic for body in bodies]),
         np.array([robot.extent for robot in sought]),
     )
-    plans = [plan_for(sighting.view.rig) for sighting in joined.sightings]
-    near, far = np.array([NEARER * plan.near for plan in plans]), np.array([plan.far for plan in plans])
+    near, far = np.array([_range_of(sighting.view.rig) for sighting in joined.sightings]).T.copy()
     guesses = room_to_guess(GUESSES)
     prior = State(np.eye(3), np.zeros(3), np.zeros((6, 6)))
     state = State(np.eye(3), np.zeros(3), np.zeros((6, 6)))
@@ -155,6 +155,13 @@ def _guesses(
         joined.scene, robots, _course(joined), free, Limits(near, far, *limits), state, prior, joined.room, guesses
     )
     return guesses, tried, turns
+
+
+@lru_cache(maxsize=64)
+def _range_of(rig: Rig) -> tuple[float, float]:
+    """Within which distances, m, a camera's robots are looked for."""
+    plan = plan_for(rig)
+    return NEARER * plan.near, plan.far
 
 
 def _course(joined: Joined) -> Course:
@@ -165,19 +172,19 @@ def _course(joined: Joined) -> Course:
     return course
 
 
-def is_same(one: Hypothesis, other: Hypothesis, extent: float) -> bool:
+def is_same(one: Hypothesis, other: Hypothesis) -> bool:
     """Whether two hypotheses are one robot at one place."""
     if one.robot != other.robot:
         return False
-    away = float(np.linalg.norm(one.pose.position - other.pose.position))
-    turned = abs(float(one.pose.orientation @ other.pose.orientation))
-    return away < SAME_M * extent and turned > math.cos(0.5 * SAME_RAD)
+    if math.dist(one.state.t, other.state.t) > SAME_M * one.whose.extent:
+        return False
+    return float(np.sum(one.state.rotation * other.state.rotation)) > 1.0 + 2.0 * math.cos(SAME_RAD)
 
 
 def _best_of_each(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """The likeliest first, each place of a robot once."""
     kept: list[Hypothesis] = []
     for hypothesis in sorted(hypotheses, key=lambda h: -h.odds):
-        if not any(is_same(hypothesis, other, 0.1) for other in kept):
+        if not any(is_same(hypothesis, other) for other in kept):
             kept.append(hypothesis)
     return kept

@@ -100,7 +100,7 @@ def unshared(joined: Joined, known: dict[str, Ints], told: dict[str, Hypothesis]
 
 def _off(joined: Joined, told: Hypothesis, c: int, led: int, spot: int) -> float:
     """How far a spot is from where an LED should be, squared sigmas."""
-    body, covariance = joined.body(joined.fleet.robots[told.robot]), joined.scene.covariances[spot]
+    body, covariance = joined.body(told.whose), joined.scene.covariances[spot]
     x, y = joined.scene.rays[spot] - told.rays[c, led]
     more = float(body.systematic[c]) ** 2
     xx, xy, yy = covariance[0] + more, covariance[1], covariance[2] + more

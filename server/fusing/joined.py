@@ -37,18 +37,28 @@ Foresight = Callable[[str, int], Foreseen | None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
-    """A robot's spots ``labels`` (C, 6), rows of the scene, -1 for none; the pose T_world_robot at the newest exposure
-    that they tell; ``chi2`` of their ``count`` and the ``odds``, nats, that they are no chance. ``rays`` (C, 6, 2) say
-    where its LEDs should be, nan where none can be seen.
+    """What a robot's spots may be: ``labels`` (C, 6), rows of the scene, -1 for none. They tell ``state``, of the LEDs'
+    plane at the newest exposure; ``chi2`` is that of their ``count``, ``odds``, nats, speak for the robot against other
+    lights. ``rays`` (C, 6, 2) say where its LEDs should be, nan where none can be seen.
     """
 
-    robot: str
+    whose: Robot
     labels: Ints
-    pose: Pose
+    state: State
     chi2: float
     count: int
     odds: float
     rays: Floats
+
+    @property
+    def robot(self) -> str:
+        """Its id."""
+        return self.whose.id
+
+    @property
+    def pose(self) -> Pose:
+        """T_world_robot at the newest exposure."""
+        return pose_of(self.state, self.whose)
 
     @property
     def used(self) -> frozenset[int]:
@@ -75,6 +85,7 @@ class Joined:
     exposed_ns: int
     room: Room
     bodies: dict[str, Body] = field(default_factory=dict)
+    courses: dict[str, Course] = field(default_factory=dict)
 
     @staticmethod
     def of(fleet: Fleet, sightings: Sequence[Sighting], foreseen: Foresight) -> "Joined":
@@ -94,6 +105,11 @@ class Joined:
 
     def course(self, robot: str) -> Course:
         """How a robot moves between the exposures, as far as that is foreseen."""
+        if robot not in self.courses:
+            self.courses[robot] = self._course(robot)
+        return self.courses[robot]
+
+    def _course(self, robot: str) -> Course:
         c = len(self.sightings)
         course = Course(np.tile(np.eye(3), (c, 1, 1)), np.zeros((c, 3)), np.zeros((c, 2)))
         apart = [(s.exposed_ns - self.exposed_ns) * 1e-9 for s in self.sightings]
@@ -129,7 +145,7 @@ class Joined:
             return None
         odds = weigh(self.scene, body, robot.extent, labels, self.room, state, prior, chi2)
         rays = np.where(self.room.visible[..., None] > 0.0, self.room.rays, np.nan)
-        return Hypothesis(robot.id, labels, pose_of(state, robot), chi2, count, odds, rays)
+        return Hypothesis(robot, labels, state, chi2, count, odds, rays)
 
     def spots_of(self, labels: Ints) -> dict[str, NDArray[np.int64]]:
         """Labels by the cameras' names, rows of their sightings, without cameras that see none."""

@@ -22,7 +22,7 @@ from asterism.server.pose.planar import NO_SOLUTION
 LEAST = 6  # LEDs seen, in all cameras together, that make a robot
 MOST_TRIPLES = 2048
 AROUND = 0.75  # of a constellation's extent: how far from its middle its LEDs are at most
-NEAR = 0.2  # of it: how far off another camera's spot may be while the pose of three is rough
+NEAR = 0.12  # of it: how far off another camera's spot may be while the pose of three is rough
 
 
 class Sought(NamedTuple):
@@ -118,9 +118,10 @@ def _world(scene, c, direction, out):
 
 
 @compiled
-def _supports(scene, free, directions, home, middle, extent, limits, depths, slack):
+def _supports(scene, free, directions, home, middle, extent, limits, depths, slack, near):
     """Where other cameras' spots pass the line of sight ``middle`` (3,) of camera ``home``: fills their ``depths``
-    along it and by how much a robot's own may be another, ``slack``, m; returns how many there are.
+    along it and by how much a robot's own may be another, ``slack``, m, and adds them to ``near`` (k, 2), camera and
+    row; returns how many there are.
     """
     line, other = np.empty(3), np.empty(3)
     _world(scene, home, middle, line)
@@ -151,6 +152,7 @@ def _supports(scene, free, directions, home, middle, extent, limits, depths, sla
             wide = AROUND * extent
             if gap2 < wide * wide and limits.near[home] - extent < depth < limits.far[home] + extent:
                 depths[count], slack[count] = depth, wide / math.sqrt(sine2)
+                near[count, 0], near[count, 1] = c, spot
                 count += 1
     return count
 
@@ -178,45 +180,50 @@ def _nearest(depths, slack, count, needed):
 
 
 @compiled
-def _at_home(scene, free, directions, triple, reach):
-    """How many free spots of its own camera stand within reach of a triple."""
-    count = 0
+def _at_home(scene, free, directions, triple, reach, near, count):
+    """Add the free spots of its own camera within reach of a triple to ``near`` (k, 2), of which there are ``count``;
+    returns how many there are then.
+    """
     for spot in range(scene.first[triple[0]], scene.first[triple[0] + 1]):
-        near = free[spot]
+        if not free[spot]:
+            continue
         for k in range(1, 4):
-            near = near and _within(directions, spot, triple[k], reach)
-        if near:
+            if not _within(directions, spot, triple[k], reach):
+                break
+        else:
+            near[count, 0], near[count, 1] = triple[0], spot
             count += 1
     return count
 
 
 @compiled
-def _seen_roughly(scene, free, home, layout, extent, rotation, t):
-    """How many LEDs of a pose T_home_plane have a free spot near them in the other cameras, roughly."""
+def _seen_roughly(scene, home, layout, extent, rotation, t, near):
+    """How many LEDs of a pose T_home_plane have one of the spots ``near`` (k, 2), camera and row, roughly at them."""
     at, point = np.empty(3), np.empty(3)
     count = 0
     for c in range(scene.turns.shape[0]):
-        if c == home:
-            continue
         for led in range(LEDS):
             for i in range(3):
                 at[i] = t[i]
                 for j in range(3):
                     at[i] += rotation[i, j] * layout[led, j]
-            for i in range(3):
-                point[i] = scene.origins[home, i] - scene.origins[c, i]
+            x, y, z = at[0], at[1], at[2]
+            if c != home:
+                for i in range(3):
+                    point[i] = scene.origins[home, i] - scene.origins[c, i]
+                    for j in range(3):
+                        point[i] += scene.turns[home, j, i] * at[j]
+                x = y = z = 0.0
                 for j in range(3):
-                    point[i] += scene.turns[home, j, i] * at[j]
-            x = y = z = 0.0
-            for j in range(3):
-                x += scene.turns[c, 0, j] * point[j]
-                y += scene.turns[c, 1, j] * point[j]
-                z += scene.turns[c, 2, j] * point[j]
+                    x += scene.turns[c, 0, j] * point[j]
+                    y += scene.turns[c, 1, j] * point[j]
+                    z += scene.turns[c, 2, j] * point[j]
             if not z > 1e-3:
                 continue
             x, y, near2 = x / z, y / z, (NEAR * extent / z) ** 2
-            for spot in range(scene.first[c], scene.first[c + 1]):
-                if free[spot] and (scene.rays[spot, 0] - x) ** 2 + (scene.rays[spot, 1] - y) ** 2 < near2:
+            for k in range(near.shape[0]):
+                spot = near[k, 1]
+                if near[k, 0] == c and (scene.rays[spot, 0] - x) ** 2 + (scene.rays[spot, 1] - y) ** 2 < near2:
                     count += 1
                     break
     return count
@@ -287,14 +294,13 @@ def guess(scene, sought, course, free, limits, state, prior, room, guesses):
         reach[c] = largest / limits.near[c]
     triples = np.empty((MOST_TRIPLES, 4), np.int64)
     count = _list_triples(scene, free, directions, reach, triples)
-    depths, slack, middle = np.empty(n), np.empty(n), np.empty(3)
+    depths, slack, middle, near = np.empty(n), np.empty(n), np.empty(3), np.empty((n, 2), np.int64)
     tried = 0
     for turn in range(count):
         if tried >= limits.most:
             return tried, turn
         triple = triples[(limits.start + turn) % count]
         home = triple[0]
-        at_home = _at_home(scene, free, directions, triple, reach[home])
         for axis in range(3):
             middle[axis] = (
                 directions[triple[1], axis] + directions[triple[2], axis] + directions[triple[3], axis]
@@ -302,8 +308,9 @@ def guess(scene, sought, course, free, limits, state, prior, room, guesses):
         per = 1.0 / math.sqrt(middle[0] ** 2 + middle[1] ** 2 + middle[2] ** 2)
         for axis in range(3):
             middle[axis] *= per
-        supports = _supports(scene, free, directions, home, middle, largest, limits, depths, slack)
-        needed = max(LEAST - min(at_home, LEDS), 1)
+        supports = _supports(scene, free, directions, home, middle, largest, limits, depths, slack, near)
+        every = _at_home(scene, free, directions, triple, reach[home], near, supports)
+        needed = max(LEAST - min(every - supports, LEDS), 1)
         if supports < needed:
             continue
         nearest = max(_nearest(depths, slack, supports, needed), limits.near[home])
@@ -312,7 +319,7 @@ def guess(scene, sought, course, free, limits, state, prior, room, guesses):
         for robot in range(sought.extents.shape[0]):
             tried += _try_robot(
                 scene, sought, course, free, limits, state, prior, room, guesses, robot, triple, directions,
-                (depths, slack, supports, needed, nearest),
+                (depths, slack, supports, needed, nearest, near[:every]),
             )  # fmt: skip
     return tried, -1
 
@@ -322,7 +329,7 @@ def _try_robot(
     scene, sought, course, free, limits, state, prior, room, guesses, robot, triple, directions, told,
 ):  # fmt: skip
     """Try three spots as any three LEDs of a robot; returns how many poses that were."""
-    depths, slack, supports, needed, nearest = told
+    depths, slack, supports, needed, nearest, near = told
     home = triple[0]
     extent, layout = sought.extents[robot], sought.layouts[robot]
     body = Body(layout, sought.optics[robot], sought.misfits[robot], sought.systematic[robot])
@@ -372,7 +379,7 @@ def _try_robot(
                     )
                     if not facing < -0.25 * away or _agreeing(depths, slack, supports, away) < needed:
                         continue
-                    if _seen_roughly(scene, free, home, layout, extent, rotations[which], t) < needed:
+                    if _seen_roughly(scene, home, layout, extent, rotations[which], t, near) < LEAST:
                         continue
                     _in_world(scene, home, rotations[which], t, state)
                     labels[home, :] = -1

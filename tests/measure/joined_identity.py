@@ -111,13 +111,13 @@ Exposure = tuple[dict[str, Pose], list[Sighting]]
 def drawn_exposures(case: Case, count: int, seed: int) -> Iterator[Exposure]:
     """Exposures of drawn spots, far apart in time."""
     rigs, rng, lights = rigs_of(case, seed), np.random.default_rng([seed, 1]), Lights(case, seed)
-    drive = drive_of(case, rigs, seed)
+    drive, believed = drive_of(case, rigs, seed), [known(rig, case) for rig in rigs]
     for frame in range(count):
         poses, sightings = drive(0.37 * frame), []
         everybody = {robot.id: (robot, poses[robot.id]) for robot in rigs[0].robots}
-        for rig in rigs:
+        for rig in believed:
             lit = {robot: np.flatnonzero(lights(rig.camera.name, robot, frame)) for robot in everybody}
-            sighting = drawn(known(rig, case), everybody, lit, rng, case.glints, exposed_ns=frame * 370_000_000)
+            sighting = drawn(rig, everybody, lit, rng, case.glints, exposed_ns=frame * 370_000_000)
             sightings.append(sighting)
         yield poses, sightings
 
