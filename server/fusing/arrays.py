@@ -38,7 +38,7 @@ def body_of(robot: Robot, sightings: Sequence[Sighting]) -> Body:
     nothing = np.zeros(OPTICS)
     focal = np.array([sighting.view.rig.camera.matrix[0, 0] for sighting in sightings])
     return Body(
-        layout=robot.leds_plane,
+        layout=robot.leds_plane.copy(),  # for one that is read only kernels would be compiled once more
         optics=np.array([sighting.view.optics.get(robot.id, nothing) for sighting in sightings]),
         misfit=ROOM * misfit,
         systematic=systematic / focal,

@@ -22,6 +22,8 @@ from typing import Any
 import numpy as np
 from numba.core import event
 
+from asterism.protocol import asterism_pb2 as pb
+from asterism.protocol.geometry import Pose
 from asterism.protocol.rig import ESTIMATORS, load_rig
 from asterism.server import Frame, Tracks, localize
 from asterism.server.centres.centre import REFINERS
@@ -30,6 +32,7 @@ from asterism.server.chain.kernel_list import (
     CHECK,
     DESIGN,
     FILE,
+    FUSE,
     LOCALIZE,
     PACKAGE,
     SIMULATE,
@@ -95,6 +98,37 @@ def design() -> None:
     search(Request(2, 0.1, 0.03, 1.5, 0.05))  # LEDs so far apart that there is little to search
 
 
+def fuse() -> None:
+    """Robots joined from three cameras: all LEDs and few, who says whose they are and who doesn't, one camera moved."""
+    from asterism.server.fusing.fleet import Fleet, View
+    from asterism.server.fusing.fuse import fuse as join
+    from asterism.server.fusing.memory import Joint
+    from tests.fusing.drawn import Seen, sighting
+    from tests.several import Drive, facing_pair, looking_at, rigs_at
+
+    rng = np.random.default_rng(0)
+    rigs = rigs_at([*facing_pair(), looking_at(np.array([0.1, 0.8, 1.0]), np.zeros(3))], 3)
+    drive, views = Drive(tuple(robot.id for robot in rigs[0].robots)), [View(rig) for rig in rigs]
+    fleet = Fleet.of(views)
+    for leds in ((0, 1, 2, 3, 4, 5), (0, 1, 2, 3), (0, 2, 4)):
+        joint = Joint.none()
+        for k in range(12):
+            sightings = []
+            for camera, view in enumerate(views):
+                exposed_ns = 10**18 + k * 16_666_667 + (k > 5) * camera * 4_000_000
+                place = view.T_world_camera
+                off = np.array([0.01 * (camera == 2 and k > 8), 0.0, 0.0])
+                seen = Seen(Pose(place.position + off, place.orientation), lit=dict.fromkeys(fleet.robots, leds))
+                shown = sighting(view, drive((exposed_ns - 10**18) * 1e-9), exposed_ns, rng, seen)
+                if len(leds) < 4 or k % 4 == 0:  # nobody knows whose they are
+                    nobody = np.full(len(shown.robots), -1)
+                    lost = {robot: pb.RobotReport(id=robot, state=pb.LOST) for robot in shown.told}
+                    shown = replace(shown, robots=nobody, leds=nobody.copy(), told=lost)
+                sightings.append(shown)
+            for together in [sightings] if k <= 5 else [[one] for one in sightings]:
+                _, joint = join(together, fleet, joint)
+
+
 def called() -> set[tuple[str, str]]:
     """Every kernel that Python has called in this process, by module and name, with the types, as JSON."""
     found = set()
@@ -111,6 +145,7 @@ SCENARIOS: dict[str, Callable[[], None]] = {
     SIMULATE: simulate,
     CHECK: check,
     DESIGN: design,
+    FUSE: fuse,
     **{estimator: (lambda estimator=estimator: chain(estimator)) for estimator in ESTIMATORS},  # type: ignore[misc]
 }
 REFINING = {f"centres.centre.{kernel.py_func.__name__}": name for name, kernel in REFINERS.items()}

@@ -94,7 +94,6 @@ class HeardCamera:
     def problems(self, now_ns: int) -> list[str]:
         """What is wrong with it now, in sentences."""
         told = [self.problem] if self.problem else []
-        told += self._rivals(now_ns)
         silent_s = (now_ns - self.heard_ns) / SECOND_NS
         if not self.alive:
             told.append(f"camera '{self.name}' is gone, for {silent_s:.0f} s")
@@ -104,11 +103,13 @@ class HeardCamera:
             told.append(f"camera '{self.name}' does not tell its rig; without one nothing of it can be joined")
         return told
 
-    def _rivals(self, now_ns: int) -> list[str]:
-        self._others = {one: other for one, other in self._others.items() if now_ns - other.last_ns < RIVAL_NS}
+    def rivals(self, now_ns: int) -> list[str]:
+        """Other cameras that are heard under its name, in sentences."""
+        others = list(self._others.items())  # another thread may add one
+        self._others = {one: other for one, other in others if now_ns - other.last_ns < RIVAL_NS}
         return [
             f"two cameras are called '{self.name}': that of {self._who} was heard first and is taken, that of "
             f"{other.who} is not: give one of them another camera_name"
-            for other in self._others.values()
-            if min(self.heard_ns, other.last_ns) - other.first_ns > SILENT_NS
+            for _, other in others
+            if now_ns - other.last_ns < RIVAL_NS and min(self.heard_ns, other.last_ns) - other.first_ns > SILENT_NS
         ]

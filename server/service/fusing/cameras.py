@@ -102,7 +102,10 @@ class Cameras:
         missing = [name for name in self._wanted if name not in self.heard]
         told = [f"camera '{name}' is not heard" for name in missing]
         for _, camera in sorted(self.heard.items()):
-            told += camera.problems(now_ns)
+            rivals = camera.rivals(now_ns)
+            for sentence in rivals:
+                self._say_once(sentence)
+            told += [*camera.problems(now_ns), *rivals]
         return told
 
     def _others_of(self, name: str) -> list[View]:

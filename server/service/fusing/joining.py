@@ -2,6 +2,7 @@
 
 import gc
 import queue
+import re
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -37,6 +38,7 @@ STATUS_EVERY_S = 1.0
 LOOK_EVERY_S = 0.1
 SILENT_S = 0.5  # after that long without an exposure no robot counts as visible
 NOBODY_S = 5.0  # without a camera that is said
+SAY_AGAIN_S = 60.0  # what is wrong
 BEHIND = 3  # frames: of what waits longer, because joining takes too long, the oldest is passed over
 USUAL_NS = 16_666_667  # frame period, before one is known
 
@@ -74,14 +76,16 @@ class Joining:
         self._events = Events("fused")
         self._systemd = Systemd()
         self._sequence = 0
+        self._running = False
         self._said_nobody = False
-        self._said_problem = ""
+        self._said_s: dict[str, float] = {}
         self._began_s = self._newest_s = time.monotonic()
         self._answer_for_rig()
 
     def hear(self, heard: Heard | Answers) -> None:
-        """Something came; from any thread."""
-        self._queue.put(heard)
+        """Something came; from any thread. Frames before `run` are not waited with."""
+        if self._running or not (isinstance(heard, Heard) and heard.word == "frame"):
+            self._queue.put(heard)
 
     def run(self, ears: Ears) -> None:
         """Join and publish until ``stop`` is set."""
@@ -89,6 +93,7 @@ class Joining:
             stack.callback(Ticker(self._tick, STATUS_EVERY_S).close)
             stack.callback(self._systemd.stopping)
             self._systemd.ready()
+            self._running = True
             gc.freeze()
             stack.callback(gc.unfreeze)
             until_ns: int | None = None
@@ -143,7 +148,8 @@ class Joining:
         self._clocks.add(heard.camera, told.published_ns, self._clock.at_ns(heard.arrived_ns))
         astray = set(self._clocks.astray())
         if astray != self._astray:  # whose stamps were gone by must not be what others are compared with
-            self._astray, self._order = astray, Order()
+            self._astray = astray
+            self._order.begin_anew()
         if heard.camera in astray:
             return
         self._ways.add(heard.camera, told)
@@ -224,10 +230,21 @@ class Joining:
             problems = [f"no camera is heard at {self._places}"]
         self._ways.look(time.monotonic_ns())
         period_ns = self._period_ns()
-        problems += told_apart(self._clocks, period_ns) or told_of_times(self._ways, 1e-9 * period_ns)
-        self.health.problem = "; ".join([*problems, *self.health.contradictions()])
+        facts = told_apart(self._clocks, period_ns) or told_of_times(self._ways, 1e-9 * period_ns)
+        facts += self.health.contradictions()
+        self._log(facts)
+        self.health.problem = "; ".join([*problems, *facts])
         now_ns, source = self._clock.now_ns(), ", ".join(self.cameras.fleet.views) or "no camera"
         self._publisher.publish([self.health.message(source, now_ns, self._clock.session)])
+
+    def _log(self, facts: list[str]) -> None:
+        """Say what was not said in the last minute, with whatever numbers."""
+        now_s = time.monotonic()
+        for fact in facts:
+            kind = re.sub(r"\d[\d.e+-]*", "", fact)
+            if now_s - self._said_s.get(kind, -SAY_AGAIN_S) >= SAY_AGAIN_S:
+                self._said_s[kind] = now_s
+                say(fact)
 
     def _period_ns(self) -> int:
         """The least of the cameras'."""

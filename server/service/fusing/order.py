@@ -53,6 +53,10 @@ class Order(Generic[T]):
         self._pending.pop(camera, None)
         self.absent.discard(camera)
 
+    def begin_anew(self) -> None:
+        """Forget all times, as where stamps were gone by that were wrong; what was counted stays."""
+        self._paces, self._pending, self._passed_ns, self.absent = {}, {}, 0, set()
+
     def pace(self, camera: str) -> Pace | None:
         """How that camera's reports come."""
         return self._paces.get(camera)

@@ -135,3 +135,18 @@ def test_what_was_told_of_a_session_is_not_expected_of_the_next() -> None:
     order.forget("right")
     out = list(joined(camera("left", 5 * MS, first=60, count=80), order))
     assert all(at - exposed == 5 * MS for at, exposed, _ in out)
+
+
+def test_whatever_the_others_do_a_camera_that_is_there_has_no_gap(rng: np.random.Generator) -> None:
+    """Losses, late reports, a camera that is killed and one that joins: each exposure of the first one goes out, and no
+    later than a frame after its report came.
+    """
+    heard = camera("left", 5 * MS, count=600)
+    for name, exposures in (("right", range(600)), ("third", range(300)), ("fourth", range(200, 600))):
+        for at, _, exposed in (one for k in exposures for one in camera(name, 6 * MS, first=k, count=k + 1)):
+            if rng.uniform() > 0.05:
+                heard.append((at + int(rng.choice([0, 40], p=[0.95, 0.05])) * MS, name, exposed))
+    out = {exposed: at for at, exposed, cameras in joined(heard) if "left" in cameras}
+    assert len(out) == 600
+    assert max(at - exposed - 5 * MS for exposed, at in out.items()) < PERIOD
+    assert max(np.diff(list(out.values()))) < 2 * PERIOD
