@@ -35,7 +35,7 @@ def fuse_recordings(options: argparse.Namespace) -> int:
     if options.record is not None:
         check_folder_of_many(options.record)
     with working("reading when frames were taken"):
-        tapes = _chosen(tapes_of(options.recordings), options.camera)
+        tapes = _chosen(tapes_of(options.recordings, besides=FUSED), options.camera)
     refuse_apart(tapes)
     watching = Watching()
     for part in (tape.parts[0] for tape in tapes):
