@@ -106,15 +106,17 @@ def refuse_apart(tapes: Sequence[Tape]) -> None:
             )
 
 
-def tapes_of(folders: Sequence[Path]) -> list[Tape]:
+def tapes_of(folders: Sequence[Path], besides: str = "") -> list[Tape]:
     """The tapes of recordings, and of folders that hold recordings, by the cameras' names: the order in which the
-    folders are given changes nothing.
+    folders are given changes nothing. Recordings of camera ``besides`` are passed over where such a folder holds them.
 
     Raises InputError for what is no recording, holds no frame reports, is told of twice, or is damaged; where the time
     of one runs backwards; and where two of one camera overlap.
     """
     paths = sorted({path.resolve(): path for folder in folders for path in recordings_in(folder)}.items())
-    parts = sorted((_part(path) for _, path in paths), key=lambda part: (part.camera, part.span, part.recording.path))
+    recordings = [Recording(path) for _, path in paths]
+    told = [each for each in recordings if each.path in folders or each.metadata.get("camera") != besides]
+    parts = sorted(map(_part, told or recordings), key=lambda part: (part.camera, part.span, part.recording.path))
     cameras: dict[str, list[Part]] = {}
     for part in parts:
         cameras.setdefault(part.camera, []).append(part)
@@ -129,8 +131,8 @@ def recordings_in(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.is_dir() and any(path.glob("*.mcap"))) or [folder]
 
 
-def _part(path: Path) -> Part:
-    recording = Recording(path)
+def _part(recording: Recording) -> Part:
+    path = recording.path
     first_ns, last_ns, frames = 0, -1, 0
     for message in recording.messages():
         if message.kind.schema != FRAME_REPORT.schema:

@@ -17,6 +17,8 @@ from asterism.protocol.program import typed
 from asterism.protocol.rig import parse_rig
 from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.recordings.tape import Shown, Tape, exposures_of, refuse_apart, tapes_of
+from asterism.server.chain.kernel_list import FUSE
+from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.fused_line import FusedTally, fused_line
 from asterism.server.command.lines_output import lines_output
 from asterism.server.command.progress import progress, working
@@ -35,7 +37,7 @@ def fuse_recordings(options: argparse.Namespace) -> int:
     if options.record is not None:
         check_folder_of_many(options.record)
     with working("reading when frames were taken"):
-        tapes = _chosen(tapes_of(options.recordings), options.camera)
+        tapes = _chosen(tapes_of(options.recordings, besides=FUSED), options.camera)
     refuse_apart(tapes)
     watching = Watching()
     for part in (tape.parts[0] for tape in tapes):
@@ -45,6 +47,7 @@ def fuse_recordings(options: argparse.Namespace) -> int:
     if len(tapes) == 1:
         say(f"there is nothing to join: all of it is of one camera, '{tapes[0].camera}'")
     encoder, tally = msgspec.json.Encoder(), FusedTally()
+    warm_up(FUSE)
     ways = Ways()
     exposures = _watched(progress(exposures_of(tapes), None, "fusing"), ways)
     with lines_output(options.out, options.force) as out, _recorder(options, tapes) as record:

@@ -124,6 +124,11 @@ def test_every_exposure_of_any_camera_is_a_line_in_the_order_of_time(recorded: P
     kept = [(report.exposed_ns, [list(robot.cameras) for robot in report.robots]) for report in reports(fused)]
     assert kept == [(line["exposed_ns"], [robot["cameras"] for robot in line["robots"]]) for line in told]
     assert [robot.id for robot in fused.rig().robots] == ["r00"]
+    # What was joined before is not joined again.
+    for folder in (left, right, fused.path):
+        shutil.copytree(folder, tmp_path / "all" / folder.name)
+    assert main(["fuse", str(tmp_path / "all"), "-o", str(tmp_path / "again.jsonl")]) == 0
+    assert (tmp_path / "again.jsonl").read_bytes() == one.read_bytes()
     # What reads the lines and the recording reads the same.
     for source, name in ((other, "lines"), (fused.path, "recording")):
         assert main(["export", str(source), "--to", "csv", "-o", str(tmp_path / name)]) == 0
