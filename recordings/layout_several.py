@@ -43,7 +43,7 @@ def several_blueprint(cameras: Sequence[tuple[Rig, Entities]]) -> rrb.Blueprint:
                 *(_robot_plots(robot, [entities for _, entities in telling]) for robot in robots),
                 rrb.TextLogView(origin="events", name="events"),
             ),
-            row_shares=[75 + 23 * rows, 80 + 28 * rows, 210],
+            row_shares=[84 + 25 * rows, 84 + 34 * rows, 230],
         ),
         column_shares=[1, 1],
     )

@@ -1,8 +1,9 @@
 """The documentation's pictures of a recording, without a screen.
 
 `python -m tests.viewer_picture RECORDING DIR [FRAME]` writes DIR/review.png, all that `asterism review` shows, and
-DIR/robots.png, image and space alone. docs/ has those of frame 130 of `asterism demo --seconds 3`. Needs a software
-Vulkan driver (Debian: mesa-vulkan-drivers).
+DIR/robots.png, image and space alone. docs/ has those of frame 130 of `asterism demo --seconds 3`.
+`python -m tests.viewer_picture several RECORDING ... DIR` writes DIR/several.png, several cameras in one world.
+Needs a software Vulkan driver (Debian: mesa-vulkan-drivers).
 """
 
 import os
@@ -22,7 +23,8 @@ import rerun.blueprint as rrb
 from asterism.protocol.rig import Rig
 from asterism.recordings.layout import camera_view, review_blueprint, space_view
 from asterism.recordings.reader import Recording
-from asterism.server.command.review import write_rrd
+from asterism.recordings.tape import tapes_of
+from asterism.server.command.review import write_rrd, write_several
 
 LAVAPIPE = "/usr/share/vulkan/icd.d/lvp_icd.x86_64.json"
 MENU_PX = 37
@@ -35,6 +37,14 @@ def main(recording: Recording, folder: Path, frame: int | None) -> None:
             file = Path(made) / f"{name}.rrd"
             write_rrd(recording, file, views)
             (folder / f"{name}.png").write_bytes(picture(file, size, frame))
+
+
+def several(recordings: list[Path], folder: Path) -> None:
+    """Draw recordings of several cameras, and take a picture of their end."""
+    with tempfile.TemporaryDirectory() as made:
+        file = Path(made) / "several.rrd"
+        write_several(tapes_of(recordings), file)
+        (folder / "several.png").write_bytes(picture(file, "1600x1000", None))
 
 
 def robots_alone(rig: Rig) -> rrb.Blueprint:
@@ -94,5 +104,7 @@ def without_menu(png: bytes) -> bytes:
     return cv2.imencode(".png", shown[MENU_PX:], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
 
 
-if __name__ == "__main__":
+if __name__ == "__main__" and sys.argv[1] == "several":
+    several([Path(each) for each in sys.argv[2:-1]], Path(sys.argv[-1]))
+elif __name__ == "__main__":
     main(Recording(Path(sys.argv[1])), Path(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else None)

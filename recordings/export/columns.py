@@ -157,6 +157,6 @@ _VELOCITY = Group(
 _RESIDUALS = Group(_named((f"led{led}_residual_{axis}" for led in range(LEDS) for axis in "xy"), "px"), _residuals)
 _OTHER = Group((*_place("other_"), Column("other_odds", "", "real")), _other)
 _HOW = Group(
-    (Column("filter", "", "text"), Column("extrapolated", "", "flag")),
-    lambda _, robot: (robot.smoothed_by or None, robot.extrapolated),
+    (Column("filter", "", "text"), Column("extrapolated", "", "flag"), Column("cameras", "", "text")),
+    lambda _, robot: (robot.smoothed_by or None, robot.extrapolated, "/".join(robot.cameras) or None),
 )

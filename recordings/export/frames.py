@@ -36,7 +36,8 @@ class ExportedRobot:
     ``covariance`` are 36 numbers, row-major, m and rad: x, y, z, rotation about x, y, z of the parent frame.
     ``residuals_px`` are observed minus predicted, by LED; ``points`` named points in the frame of the pose, m.
     ``spots_px2`` is the mean variance of a coordinate of its spots, None where none is told; ``misfit_m`` how far off
-    the rig has its LEDs, as frames before told, 0 where they told nothing.
+    the rig has its LEDs, as frames before told, 0 where they told nothing; ``cameras`` those that the pose rests on,
+    where several are joined.
     """
 
     id: str
@@ -55,6 +56,7 @@ class ExportedRobot:
     extrapolated: bool = False
     spots_px2: float | None = None
     misfit_m: float = 0.0
+    cameras: tuple[str, ...] = ()
 
     @property
     def pose(self) -> Pose | None:
@@ -150,6 +152,7 @@ def _of_odometry(told: dict[str, RobotPose]) -> ExportedFrame:
             velocity=pose.velocity,
             smoothed_by=pose.smoothed_by,
             extrapolated=pose.extrapolated,
+            cameras=pose.cameras,
         )
         for pose in told.values()
     )
@@ -190,6 +193,7 @@ def _robot(robot: "pb.RobotReport", told: RobotPose | None) -> ExportedRobot:
         alternative=_alternative(robot),
         smoothed_by=robot.smoothed_by,
         extrapolated=robot.extrapolated,
+        cameras=tuple(robot.cameras),
     )
 
 

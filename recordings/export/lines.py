@@ -1,4 +1,4 @@
-"""The JSON lines of `asterism locate` and `simulate` as frames for export."""
+"""The JSON lines of `asterism locate`, `fuse` and `simulate` as frames for export."""
 
 import math
 from collections.abc import Iterator
@@ -49,6 +49,7 @@ class _Robot(msgspec.Struct):
     filter: str = ""
     velocity: _Velocity | None = None
     extrapolated: bool = False
+    cameras: tuple[str, ...] = ()
 
 
 class _Line(msgspec.Struct):
@@ -120,6 +121,7 @@ def _located(robot: _Robot, where: str) -> ExportedRobot:
         smoothed_by=robot.filter,
         velocity=_velocity(robot.velocity, where),
         extrapolated=robot.extrapolated,
+        cameras=robot.cameras,
     )
 
 

@@ -85,7 +85,8 @@ def run(options: argparse.Namespace) -> int:
         )
     kept = write_result_file(options.out, text, options.force)
     print(f"written: {options.out}" + (f"; the old one is kept as {kept}" if kept else ""))
-    print(f"to use it: led: {{offset: {options.out.name}}} for {', '.join(robots)} in the rig.yaml (path from there)")
+    where = rig.robots_name or "the rig.yaml"
+    print(f"to use it: led: {{offset: {options.out.name}}} for {', '.join(robots)} in {where} (path from there)")
     return 0
 
 
