@@ -181,7 +181,7 @@ class _Task:
                 pull = target[mine] + known / misfits2[k, way]
                 information = alone - across.T @ answers[:, :-1]
                 told = pull - across.T @ answers[:, -1] + information @ known
-                new[k, way] = misfit2_of(information, told)
+                new[k, way] = misfit2_of(information, told, np.delete(misfits2[:, way], k))
         return new
 
 
