@@ -20,7 +20,7 @@ FILE = Path(__file__).with_name("kernels.json")
 PACKAGE = "asterism.server."
 
 # What kernels are needed for, beside the names of the estimators.
-BLOBS, LOCALIZE, SIMULATE, CHECK, DESIGN = "blobs", "localize", "simulate", "check", "design"
+BLOBS, LOCALIZE, SIMULATE, CHECK, DESIGN, FUSE = "blobs", "localize", "simulate", "check", "design", "fuse"
 
 
 class Entry(NamedTuple):

@@ -10,6 +10,8 @@ from asterism.protocol import keys
 from asterism.protocol.codec import to_bytes
 from asterism.protocol.errors import InputError
 from asterism.protocol.network import DEFAULT_ENDPOINT, FUSED_ENDPOINT, server_config
+from asterism.server.chain.kernel_list import FUSE
+from asterism.server.chain.warm_up import warm_up
 from asterism.server.fusing.fleet import Fleet
 from asterism.server.fusing.report import rig_report
 from asterism.server.service.fusing.ears import Ears
@@ -58,6 +60,7 @@ def join_until(stop: Stop, joined: Joined) -> None:
         ears = stack.enter_context(Ears(joined.hears, joined.speaks.options, joined.cameras, joining.hear))
         if joined.speaks.connect is not None:
             ears.hear(air.session)
+        warm_up(FUSE)
         say(f"joining the cameras at {joined.places}; poses are at {joined.speaks}")
         with LiveLine(joining.now):
             joining.run(ears)

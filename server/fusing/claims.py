@@ -19,6 +19,7 @@ from asterism.server.fusing.expected import completed, followed, is_enough, unsh
 from asterism.server.fusing.fleet import Fleet
 from asterism.server.fusing.joined import Foreseen, Foresight, Hypothesis, Joined, without
 from asterism.server.fusing.sighting import Sighting
+from asterism.server.fusing.tilts import other_tilts
 from asterism.server.fusing.told import Said, judged, labels_said, said_of, undisputed
 from asterism.server.fusing.words import contradicted, nowhere, too_few
 from asterism.server.pose.solve import Lost
@@ -98,7 +99,7 @@ def _answer(
 ) -> Claim | Lost:  # fmt: skip
     if robot in found:
         one = found[robot]
-        starts = agreed[robot].starts() if robot in agreed else ()
+        starts = agreed[robot].starts() if robot in agreed else other_tilts(joined, joined.fleet.robots[robot], one)
         return Claim(robot, joined.spots_of(one.labels), (one.pose, *starts))
     if robot in agreed:
         return Claim(robot, joined.spots_of(known[robot]), agreed[robot].starts())

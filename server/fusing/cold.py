@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from asterism.protocol.rig import Robot
 from asterism.server.centres.blobs import Ints
 from asterism.server.fusing.arrays import still
-from asterism.server.fusing.decide import Doubts, decided
+from asterism.server.fusing.decide import LEAST_ODDS, Doubts, decided
 from asterism.server.fusing.joined import UNKNOWN_RATES, Hypothesis, Joined, without
 from asterism.server.fusing.look import Body, Course, State
 from asterism.server.fusing.triples import Guesses, Limits, Sought, guess, room_to_guess
@@ -27,7 +27,8 @@ LEAST = 6  # LEDs seen in all cameras together
 SHARP_PX = 0.08  # what a good rig is off
 GUESSES = 96  # that are looked into
 MOST = 20_000  # poses that are tried in one exposure
-AT_ONCE = 3000  # before what they explain is looked into
+AT_ONCE = 1500  # before what they explain is looked into
+MOST_THERE = 20_000  # where a robot may be, before that is decided
 STRIDE = 7919  # a prime: another exposure begins elsewhere
 TICK_NS = 1_000_000
 SAME_M, SAME_RAD = 0.1, 0.15  # of a robot's extent: poses that are one
@@ -48,6 +49,12 @@ def searched(
     start = (joined.exposed_ns // TICK_NS) * STRIDE
     while sought and most > 0:
         told, tried, turns = _explanations(joined, sought, free, (min(most, AT_ONCE), start))
+        likely = [one for one in told if one.odds >= LEAST_ODDS]
+        if likely:
+            # Nothing is decided before all is tried that the same spots may be.
+            there = free & _around(joined, likely)
+            others, more_tried, _ = _explanations(joined, sought, there, (MOST_THERE, 0))
+            told, tried = told + others, tried + more_tried
         more, doubtful = decided(_best_of_each(told))
         found, doubts = found + more, doubts | doubtful
         # Spots that are explained are searched no more.
@@ -65,6 +72,19 @@ def _too_few(joined: Joined, free: NDArray[np.bool_]) -> bool:
     return max(counts) < 3 or sum(counts) < LEAST or sum(count > 0 for count in counts) < 2
 
 
+def _around(joined: Joined, likely: Sequence[Hypothesis]) -> NDArray[np.bool_]:
+    """Which spots (n,) stand where robots may be."""
+    near = np.zeros(len(joined.scene.rays), np.bool_)
+    for one in likely:
+        extent = joined.fleet.robots[one.robot].extent
+        for c, (a, b) in enumerate(pairwise(joined.scene.first)):
+            seen = joined.scene.turns[c] @ (one.pose.position - joined.scene.origins[c])
+            if seen[2] > 0.0:
+                away = np.linalg.norm(joined.scene.rays[a:b] - seen[:2] / seen[2], axis=1)
+                near[a:b] |= away < extent / seen[2]
+    return near
+
+
 def _explanations(
     joined: Joined, sought: Sequence[Robot], free: NDArray[np.bool_], limits: tuple[int, int]
 ) -> tuple[list[Hypothesis], int, int]:
@@ -76,7 +96,7 @@ def _explanations(
     order = np.argsort(-guesses.seen, kind="stable")
     for k in order[guesses.seen[order] >= LEAST]:
         number, camera, *rest = guesses.who[k].tolist()
-        spots, leds, triples = rest[:3], rest[3:6], rest[6]
+        spots, leds = rest[:3], rest[3:6]
         robot = sought[number]
         if any(other.robot == robot.id and (other.labels[camera, leds] == spots).all() for other in told):
             continue
@@ -85,7 +105,7 @@ def _explanations(
         labels[camera, leds] = spots
         best = _explained(joined, robot, start, labels, free)
         if best is not None:
-            told.append(replace(best, odds=best.odds - math.log(120.0 * len(sought) * max(triples, 1))))
+            told.append(replace(best, odds=best.odds - math.log(len(sought))))
     return told, tried, turns
 
 

@@ -127,7 +127,7 @@ class Joined:
         chi2, count = gather(self.scene, body, course, robot.extent, prior, state, labels, free, self.room)
         if chi2 >= NO_SOLUTION or count == 0:
             return None
-        odds = weigh(self.scene, body, robot.extent, labels, self.room, chi2)
+        odds = weigh(self.scene, body, robot.extent, labels, self.room, state, prior, chi2)
         rays = np.where(self.room.visible[..., None] > 0.0, self.room.rays, np.nan)
         return Hypothesis(robot.id, labels, pose_of(state, robot), chi2, count, odds, rays)
 

@@ -1,10 +1,10 @@
-"""How far off the rig has a robot's LEDs, by what all cameras' rays together leave: one number for all cameras.
+"""How far off the rig has a robot's LEDs: one number for all cameras, by what the rays of each leave.
 
-An LED that is elsewhere is so for every camera; so two cameras' rays can agree with each other and contradict the rig.
-Of every such sigma there may be the rays' likelihood with the pose taken out (restricted maximum likelihood: chi
-squared and the logarithms of both determinants, `joint_solve.Poses`) tells how likely it is; the mean of the variance
-over all of them is taken. Errors of LEDs are the same in every frame: many frames say hardly more of their size than
-one, so their likelihoods are not multiplied.
+Every camera's rays are fitted by themselves, so that cameras which contradict each other say nothing of LEDs. Of every
+sigma that there may be, the rays' likelihood with the pose taken out (restricted maximum likelihood: chi squared and
+the logarithms of both determinants, `joint_solve.Poses`) tells how likely it is; the mean of the variance over all of
+them is taken. Errors of LEDs are the same in every frame and for every camera: many say hardly more of their size than
+one, so the mean of their likelihoods' logarithms is taken, not the sum.
 """
 
 import math
@@ -26,6 +26,7 @@ NONE, PLATE, ANYTHING = 20.0, 2.0, 0.05
 PLATE_M = 5e-5
 SPREAD = 0.8  # one sigma of the logarithm of a sigma, about a plate's
 LIKE_KNOWN, UNLIKE_KNOWN = 0.4, 20.0  # as the cameras have it, and odds of that against any other
+LEAST_LEDS = 5  # of a camera, to tell anything of them
 LEAST_M = 5e-6  # less than that is none
 AGAIN_NS = 500_000_000  # until it is looked at again
 GAIN = 0.25  # of a new look
@@ -43,14 +44,19 @@ def is_due(known: Known, exposed_ns: int) -> bool:
 
 
 def looked_at(wanted: Wanted, sight: Sight, known: Known) -> Known:
-    """What is known of a robot once more of its rays were looked at; as it was where there is no pose."""
-    tried = [replace(wanted, misfit_m=float(sigma)) for sigma in TRIED_M]
+    """What is known of a robot once more of its rays were looked at."""
+    alone = [{camera: of} for camera, of in wanted.spots.items() if np.count_nonzero(of >= 0) >= LEAST_LEDS]
+    if not alone:
+        return replace(known, misfit_ns=sight.exposed_ns)
+    tried = [replace(wanted, misfit_m=float(sigma), spots=spots) for spots in alone for sigma in TRIED_M]
     bundle, motion, poses = sight.bundle(tried)
     solve_joint(sight.eyes, sight.bodies, bundle, motion, poses)
-    if not np.all(poses.costs < NO_SOLUTION):
-        return known
+    costs = (poses.costs + poses.logdets).reshape(len(alone), -1)
+    costs = costs[np.all(poses.costs.reshape(costs.shape) < NO_SOLUTION, axis=1)]
+    if not len(costs):
+        return replace(known, misfit_ns=sight.exposed_ns)
     told = learned(wanted.robot, list(sight.sightings.values()))
-    logs = _prior(told) - 0.5 * (poses.costs + poses.logdets)
+    logs = _prior(told) - 0.5 * costs.mean(axis=0)
     likely = np.exp(logs - logs.max())
     variance = float(likely @ TRIED_M**2 / likely.sum())
     gain = GAIN if known.misfit_ns else 1.0

@@ -7,7 +7,7 @@ robot's pose, D_c those by the camera's place, W the rays' information and r the
 
 with N = sum J_c' W J_c, normal equations of how far all cameras are off. Sums over robots and exposures, slowly
 forgotten, see what the noise of one exposure hides. Camera c alone is off by M_cc^-1 b_c, which lowers chi squared by
-b_c' M_cc^-1 b_c: the camera that explains most is to blame, if no other explains about as much.
+b_c' M_cc^-1 b_c: the camera that explains nearly all is to blame, if no other does.
 """
 
 import math
@@ -24,10 +24,10 @@ from asterism.server.pose.covariance import invert
 FORGET_S = 3.0
 LEAST_S = 0.5  # of exposures, before anything is said
 OFF, AGREES = 60.0, 20.0  # chi squared, six degrees of freedom, from which a camera is off, and below which it is not
-BLAMED = 2.0  # times what any other camera explains, before one is to blame
+BLAMED = 4.0  # times what it leaves unexplained every other leaves, before a camera is to blame
 STEADY = 1e-9
 # What nobody can know of a place, nor needs to: of spots' errors that stay, as how they lie on the pixels.
-FLOOR = np.diag([2e-5] * 3 + [2e-5] * 3) ** 2
+FLOOR = np.diag([3e-6] * 3 + [3e-6] * 3) ** 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,11 +140,19 @@ def judged(places: Places, covariances: Floats, robots: int) -> Places:
             else:
                 misplaced[name] = replace(misplaced[name], off_m=_length(move[:3]), off_rad=_length(move[3:]))
     worst = max(range(c), key=lambda k: alone[k][2])
-    others = max(alone[k][2] for k in range(c) if k != worst)
     name, (move, score, gain) = places.cameras[worst], alone[worst]
-    if name not in misplaced and score > OFF and gain > BLAMED * others and c - len(misplaced) > 2:
+    second = max(alone[k][2] for k in range(c) if k != worst)
+    if name not in misplaced and score > OFF and c - len(misplaced) > 2 and _explains(places, gain, second):
         misplaced[name] = Misplaced(_length(move[:3]), _length(move[3:]), places.at_ns)
     return replace(places, misplaced=misplaced)
+
+
+def _explains(places: Places, gain: float, second: float) -> bool:
+    """Whether one camera being off explains nearly all that any cameras' being off explains, and no other does."""
+    normal = places.normal + STEADY * np.diag(np.diag(places.normal))
+    normal += STEADY * np.trace(normal) * np.eye(len(normal))
+    total = float(places.right @ np.linalg.solve(normal, places.right))
+    return total - second > BLAMED * max(total - gain, 0.0)
 
 
 def _length(vector: Floats) -> float:

@@ -38,8 +38,8 @@ class Sought(NamedTuple):
 
 
 class Guesses(NamedTuple):
-    """Poses that at least LEAST spots bear out: ``who`` (k, 9): robot, camera, three spots, three LEDs, and how many
-    sets of three spots stand there; ``rotations`` (k, 3, 3), ``ts`` (k, 3), and ``seen`` (k,) spots, -1 for no guess.
+    """Poses that at least LEAST spots bear out: ``who`` (k, 8): robot, camera, three spots, three LEDs;
+    ``rotations`` (k, 3, 3), ``ts`` (k, 3), and ``seen`` (k,) spots, -1 for no guess.
     """
 
     who: Ints
@@ -51,7 +51,7 @@ class Guesses(NamedTuple):
 def room_to_guess(most: int) -> Guesses:
     """Room for so many."""
     return Guesses(
-        np.zeros((most, 9), np.int64), np.zeros((most, 3, 3)), np.zeros((most, 3)), np.full(most, -1, np.int64)
+        np.zeros((most, 8), np.int64), np.zeros((most, 3, 3)), np.zeros((most, 3)), np.full(most, -1, np.int64)
     )
 
 
@@ -312,7 +312,7 @@ def guess(scene, sought, course, free, limits, state, prior, room, guesses):
         for robot in range(sought.extents.shape[0]):
             tried += _try_robot(
                 scene, sought, course, free, limits, state, prior, room, guesses, robot, triple, directions,
-                (depths, slack, supports, needed, at_home, nearest),
+                (depths, slack, supports, needed, nearest),
             )  # fmt: skip
     return tried, -1
 
@@ -322,14 +322,14 @@ def _try_robot(
     scene, sought, course, free, limits, state, prior, room, guesses, robot, triple, directions, told,
 ):  # fmt: skip
     """Try three spots as any three LEDs of a robot; returns how many poses that were."""
-    depths, slack, supports, needed, at_home, nearest = told
+    depths, slack, supports, needed, nearest = told
     home = triple[0]
     extent, layout = sought.extents[robot], sought.layouts[robot]
     body = Body(layout, sought.optics[robot], sought.misfits[robot], sought.systematic[robot])
     seen, points = np.empty((3, 3)), np.empty((3, 3))
     rotations, ts = np.empty((2, 3, 3)), np.empty((2, 3))
     labels = np.full((scene.turns.shape[0], LEDS), -1, np.int64)
-    who = np.empty(9, np.int64)
+    who = np.empty(8, np.int64)
     for k in range(3):
         for axis in range(3):
             seen[k, axis] = directions[triple[1 + k], axis]
@@ -385,7 +385,6 @@ def _try_robot(
                         continue
                     who[0], who[1], who[2], who[3], who[4] = robot, home, triple[1], triple[2], triple[3]
                     who[5], who[6], who[7] = a, b, c
-                    who[8] = at_home * (at_home - 1) * (at_home - 2) // 6
                     _keep(guesses, count, who, state.rotation, state.t)
     return tried
 

@@ -30,6 +30,7 @@ from asterism.server.chain.kernel_list import (
     CHECK,
     DESIGN,
     FILE,
+    FUSE,
     LOCALIZE,
     PACKAGE,
     SIMULATE,
@@ -95,6 +96,37 @@ def design() -> None:
     search(Request(2, 0.1, 0.03, 1.5, 0.05))  # LEDs so far apart that there is little to search
 
 
+def fuse() -> None:
+    """Robots joined from three cameras: all LEDs and few, who says whose they are and who doesn't, one camera moved."""
+    from asterism.server.fusing.fleet import Fleet, View
+    from asterism.server.fusing.fuse import fuse as join
+    from asterism.server.fusing.memory import Joint
+    from tests.fusing.spotted import drawn
+    from tests.several import Drive, facing_pair, looking_at, rigs_at
+
+    rng = np.random.default_rng(0)
+    rigs = rigs_at([*facing_pair(), looking_at(np.array([0.1, 0.8, 1.0]), np.zeros(3))], 3)
+    robots = {robot.id: robot for robot in rigs[0].robots}
+    drive, fleet = Drive(tuple(robots)), Fleet.of([View(rig) for rig in rigs])
+    for seen in (range(6), range(4), (0, 2, 4)):
+        joint = Joint.none()
+        for k in range(12):
+            sightings = []
+            for camera, rig in enumerate(rigs):
+                exposed_ns = 10**18 + k * 16_666_667 + (k > 5) * camera * 4_000_000
+                poses = drive((exposed_ns - 10**18) * 1e-9)
+                there = {name: (robot, poses[name]) for name, robot in robots.items()}
+                claimed = poses if len(seen) > 3 and k % 4 else {}
+                off = np.array([0.01 * (camera == 2 and k > 8), 0.0, 0.0])
+                stands = replace(
+                    rig, T_world_camera=replace(rig.T_world_camera, position=rig.T_world_camera.position + off)
+                )
+                spots = drawn(stands, there, dict.fromkeys(there, seen), rng, 3, claimed, exposed_ns)
+                sightings.append(replace(spots, view=fleet.views[rig.camera.name], T_world_camera=rig.T_world_camera))
+            for together in [sightings] if k <= 5 else [[one] for one in sightings]:
+                _, joint = join(together, fleet, joint)
+
+
 def called() -> set[tuple[str, str]]:
     """Every kernel that Python has called in this process, by module and name, with the types, as JSON."""
     found = set()
@@ -111,6 +143,7 @@ SCENARIOS: dict[str, Callable[[], None]] = {
     SIMULATE: simulate,
     CHECK: check,
     DESIGN: design,
+    FUSE: fuse,
     **{estimator: (lambda estimator=estimator: chain(estimator)) for estimator in ESTIMATORS},  # type: ignore[misc]
 }
 REFINING = {f"centres.centre.{kernel.py_func.__name__}": name for name, kernel in REFINERS.items()}

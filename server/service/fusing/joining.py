@@ -74,14 +74,15 @@ class Joining:
         self._events = Events("fused")
         self._systemd = Systemd()
         self._sequence = 0
+        self._running = False
         self._said_nobody = False
-        self._said_problem = ""
         self._began_s = self._newest_s = time.monotonic()
         self._answer_for_rig()
 
     def hear(self, heard: Heard | Answers) -> None:
-        """Something came; from any thread."""
-        self._queue.put(heard)
+        """Something came; from any thread. Frames before `run` are not waited with."""
+        if self._running or not (isinstance(heard, Heard) and heard.word == "frame"):
+            self._queue.put(heard)
 
     def run(self, ears: Ears) -> None:
         """Join and publish until ``stop`` is set."""
@@ -89,6 +90,7 @@ class Joining:
             stack.callback(Ticker(self._tick, STATUS_EVERY_S).close)
             stack.callback(self._systemd.stopping)
             self._systemd.ready()
+            self._running = True
             gc.freeze()
             stack.callback(gc.unfreeze)
             until_ns: int | None = None

@@ -47,6 +47,8 @@ def report_of(seen: Sighting, sequence: int = 0, session: int = 0) -> "pb.FrameR
     for k, column in enumerate((spots.covariance_xx, spots.covariance_xy, spots.covariance_yy)):
         column.extend(seen.covariances_px2[:, k].tolist())
     spots.fate.extend(np.where(seen.robots >= 0, int(Fate.LED), int(Fate.UNEXPLAINED)).tolist())
+    spots.brightness.extend([100.0] * len(seen.robots))
+    spots.radius.extend([2.0] * len(seen.robots))
     spots.robot.extend(seen.robots.tolist())
     spots.led.extend(seen.leds.tolist())
     report.robots.extend(seen.told.values())
