@@ -1,7 +1,7 @@
 """Going on the air: a session, a name that nobody else has, a publisher that is heard."""
 
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,6 +13,8 @@ from asterism.protocol.network import DEFAULT_ENDPOINT, client_config, joins, op
 from asterism.protocol.rig import Rig
 from asterism.server.service.names import Rivals, refuse_a_taken_name, refuse_to_go_unheard
 from asterism.server.service.publish import Clock, Publisher
+from asterism.server.service.say import say
+from asterism.server.service.uplink import Uplink
 
 
 class Place(NamedTuple):
@@ -65,12 +67,12 @@ def on_air_as(
     except BaseException:
         session.close()
         raise
-    with Publisher(session, name, rig_payload, clock, prefix) as publisher:
+    with ExitStack() as stack:
+        publisher = stack.enter_context(Publisher(session, name, rig_payload, clock, prefix))
         if joins(place.connect, place.options):
             with zenoh.open(client_config(place.connect, place.options)) as listener:
                 refuse_to_go_unheard(publisher, listener, f"{place.joining} {place}")
+            stack.callback(Uplink(session, str(place), say).close)
         rivals = Rivals(session, publisher, end)
-        try:
-            yield OnAir(session, publisher, rivals)
-        finally:
-            rivals.close()
+        stack.callback(rivals.close)
+        yield OnAir(session, publisher, rivals)

@@ -1,6 +1,5 @@
 """What a person is told of a router: where it listens, who comes and goes, which cameras are to be heard."""
 
-import queue
 import time
 from collections.abc import Callable, Sequence
 from datetime import timedelta
@@ -10,7 +9,8 @@ import zenoh
 
 from asterism.protocol import keys
 
-LOOK_EVERY_S = 0.2
+LOOK_EVERY_S = 0.1
+MOST_WAITING = 1024  # events between two looks
 LINKED_WITHIN_S = 3.0  # after that it is said that another router does not answer
 LOOPBACK = ("127.", "localhost:", "[::1]:")
 MOST_NAMES = 1000
@@ -41,8 +41,7 @@ class _Guest(NamedTuple):
 class Visitors:
     """Who is connected to a router, and which cameras' servers it hears. `step` again and again, then `close`.
 
-    ``linked`` are endpoints of the routers that it links to; ``say`` tells a person; ``monotonic`` is in s. zenoh's
-    threads put what happens into a queue; all else is one thread's.
+    ``linked`` are endpoints of the routers that it links to; ``say`` tells a person; ``monotonic`` is in s.
     """
 
     def __init__(
@@ -58,28 +57,23 @@ class Visitors:
         self._monotonic = monotonic
         self._began_s = monotonic()
         self._waits = bool(linked)
-        self._queue: queue.SimpleQueue[zenoh.LinkEvent | zenoh.Sample] = queue.SimpleQueue()
         self._guests: dict[str, _Guest] = {}
         self._came = self._most = 0
         self._cameras: set[str] = set()
         self._heard: dict[str, None] = {}  # every camera that ever was, in their order
-        self._links = self._info.declare_link_events_listener(self._queue.put, history=True)
-        self._tokens = session.liveliness().declare_subscriber(keys.alive("*"), self._queue.put, history=True)
+        # No callbacks: the threads that zenoh runs them on may outlive the session, and Python.
+        channel = zenoh.handlers.RingChannel
+        self._links = self._info.declare_link_events_listener(channel(MOST_WAITING), history=True)
+        self._tokens = session.liveliness().declare_subscriber(keys.alive("*"), channel(MOST_WAITING), history=True)
 
     def step(self) -> None:
-        """Tell what has happened; waits for it a little."""
-        try:
-            happened = self._queue.get(timeout=LOOK_EVERY_S)
-        except queue.Empty:
-            self._tell_if_not_linked()
-            return
-        there = happened.kind == zenoh.SampleKind.PUT
-        if isinstance(happened, zenoh.Sample):
-            self._tell_camera(str(happened.key_expr).split("/")[-2], there)
-        elif there:
-            self._come(happened.link)
-        else:
-            self._go(happened.link)
+        """Tell what has happened, and wait a little."""
+        while (event := self._links.handler.try_recv()) is not None:
+            (self._come if event.kind == zenoh.SampleKind.PUT else self._go)(event.link)
+        while (token := self._tokens.handler.try_recv()) is not None:
+            self._tell_camera(str(token.key_expr).split("/")[-2], token.kind == zenoh.SampleKind.PUT)
+        self._tell_if_not_linked()
+        time.sleep(LOOK_EVERY_S)
 
     def close(self) -> None:
         """Look no more."""

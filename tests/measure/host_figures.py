@@ -1,5 +1,6 @@
 """Figures of one phase of `tests.measure.hosts`."""
 
+import re
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -45,8 +46,13 @@ def _follows(a: Line, b: Line) -> bool:
 
 
 def _problems(seen: Sequence[Line]) -> list[str]:
-    told = dict.fromkeys(f"status of {line['status']}: {line['problem']}" for line in seen if line.get("problem"))
-    return list(told)
+    """What statuses said, where only numbers changed the last of it."""
+    told = {}
+    for line in seen:
+        if line.get("problem"):
+            text = f"status of {line['status']}: {line['problem']}"
+            told[re.sub(r"[\d.]+", "#", text)] = text
+    return list(told.values())
 
 
 def _robot(had: Sequence[Line], phase: Phase) -> list[str]:

@@ -64,6 +64,12 @@ class Stage:
         """Start a camera's server."""
         return self._asterism(name, "serve", self.rigs[name].name, "sim", "--connect", WIRED)
 
+    def end(self) -> None:
+        """What a person does in the evening: Ctrl-C everywhere, the router last."""
+        self.tell("", "--- all of it is ended")
+        for program in (self.robot, self.observer, self.fuse, *self.cameras.values(), self.router):
+            program.end()
+
     def start_router(self) -> None:
         """Again, after it was killed."""
         self.router = self._asterism("hub", "router", "--listen", WIRED, "--listen", AIR)
@@ -166,6 +172,7 @@ def main() -> None:
         print(f"{options.rate:g} Hz a camera, 3 robots; {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
         stage = Stage(net, folder, options.rate, stack)
         faults(stage, net, options.cut)
+        stage.end()
 
 
 if __name__ == "__main__":

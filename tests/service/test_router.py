@@ -1,5 +1,6 @@
 """`asterism router`: servers and clients meet there, it listens where it was told, and what went away comes back."""
 
+import logging
 import signal
 import socket
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from asterism.protocol.messages import ODOMETRY, Message
 from asterism.protocol.network import endpoints_of, open_router, router_config
 from asterism.server.service.on_air import OnAir, Place, on_air
 from asterism.server.service.router import Visitors, remark
+from asterism.server.service.say import SAID
 from asterism.server.sources.session_clock import SessionClock
 from tests.clients.serving import COVARIANCE, until
 from tests.listening import family, listening
@@ -58,8 +60,13 @@ def hears(client: PoseClient, air: OnAir) -> bool:
     return client["alpha"].latest(1.0) is not None
 
 
-def test_killed_and_started_again_it_brings_everything_back() -> None:
-    endpoint = free_endpoint()
+def test_killed_and_started_again_it_brings_everything_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, SAID)
+    endpoint, systemd = free_endpoint(), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    systemd.bind(str(tmp_path / "notify"))
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
     with running("router", "--listen", endpoint) as first:
         wait_for_line(first, f"router at {endpoint}")
         port = int(endpoint.rpartition(":")[2])
@@ -76,6 +83,11 @@ def test_killed_and_started_again_it_brings_everything_back() -> None:
                 wait_for_line(again, "camera 'cam': its server is there")
                 again.send_signal(signal.SIGINT)
                 told = again.communicate(timeout=30)[1]
+    gone, back, *_ = (text for text in caplog.messages if text.startswith("the router at"))  # the server says so
+    assert gone == f"the router at {endpoint} is gone: nobody hears what is published until it is back"
+    assert back.startswith(f"the router at {endpoint} is back, after ")
+    with systemd:
+        assert [systemd.recv(100) for _ in range(3)] == [b"READY=1", b"READY=1", b"STOPPING=1"]
     assert again.returncode == 0
     assert "stopped after 0:00:0" in told
     assert "cameras heard: cam" in told
