@@ -9,16 +9,17 @@ from string import Template
 
 import numpy as np
 
-from asterism.protocol.geometry import Floats
 from asterism.protocol.program import NAME, program
 from asterism.protocol.rig import Robot
 from asterism.server.calibration.lens.camera_file import camera_text
+from asterism.server.command.example_cameras import FEWEST, MOST, files_of_several
+from asterism.server.command.example_texts import range_line, robot_lines, row
 from asterism.server.command.number_arguments import whole
 from asterism.server.command.shared_arguments import add_force, named
 from asterism.server.output import new_folder
 from asterism.server.simulation.measured_rig import BOARD, TOOL, TRUTH_MARK, MeasuredRig, draw_rig
 
-EXAMPLES = "asterism example try\nasterism example try2 --seed 2\n"
+EXAMPLES = "asterism example try\nasterism example try2 --seed 2\nasterism example hall --cameras 3\n"
 
 README = Path(__file__).parent.parent / "simulation" / "example" / "README.md"
 
@@ -29,16 +30,27 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     part.add_argument(
         "--seed", metavar="N", type=whole, default=0, help="another lens, robot, ruler's errors (default: 0)"
     )
+    part.add_argument(
+        "--cameras",
+        metavar="N",
+        type=whole,
+        help=f"several cameras about one floor, {FEWEST} to {MOST}, whose places are to be calibrated",
+    )
     add_force(part)
 
 
 def run(options: argparse.Namespace) -> int:
     """Write DIR's files, say how to go on."""
     out: Path = options.out
+    if options.cameras is None:
+        files, what = files_of(draw_rig(options.seed), options.seed), "a rig as it is and as you would measure it"
+    else:
+        files = files_of_several(options.cameras, options.seed)
+        what = f"{options.cameras} cameras' rigs as they are and as you would measure them"
     with new_folder(out, options.force) as made:
-        for name, text in files_of(draw_rig(options.seed), options.seed).items():
+        for name, text in files.items():
             (made.path / name).write_text(text, encoding="utf-8")
-    print(f"written: README.md, a rig as it is and as you would measure it, in {out}{made.note}")
+    print(f"written: README.md, {what}, in {out}{made.note}")
     if program() != NAME:
         # README.md says `asterism`, and a relative path would not lead there from inside the folder.
         print(f"go on:   export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH")
@@ -64,43 +76,24 @@ def files_of(rig: MeasuredRig, seed: int) -> dict[str, str]:
 
 
 def _true_text(rig: MeasuredRig, robot: Robot, world: bool) -> str:
-    lines = [TRUTH_MARK, "camera: true-camera.yaml", _range(rig)]
+    lines = [TRUTH_MARK, "camera: true-camera.yaml", range_line(rig.true)]
     place = rig.true.T_world_camera
     if world and place is not None:
         lines += ["world:                              # T_world_camera"]
-        lines += [f"  position: {_row(place.position, 6)}", f"  orientation: {_row(place.orientation, 9)}"]
-    return "\n".join([*lines, *_robot(robot, 7, "m, to a tenth of a micrometre")]) + "\n"
+        lines += [f"  position: {row(place.position, 6)}", f"  orientation: {row(place.orientation, 9)}"]
+    return "\n".join([*lines, "robots:", *robot_lines(robot, 7, "m, to a tenth of a micrometre")]) + "\n"
 
 
 def _rig_text(rig: MeasuredRig) -> str:
     lines = [
         "# The rig as you would write it on the first day: nothing is calibrated, LEDs were measured with a ruler.",
         "camera: camera.yaml                 # there is none yet: asterism calibrate camera makes it",
-        _range(rig),
+        range_line(rig.true),
     ]
     drawn = replace(rig.true.robots[0], leds=rig.ruler, points={"tool": np.array(TOOL)})
-    return "\n".join([*lines, *_robot(drawn, 4, "m, read to half a millimetre")]) + "\n"
+    return "\n".join([*lines, "robots:", *robot_lines(drawn, 4, "m, read to half a millimetre")]) + "\n"
 
 
 def _board_text() -> str:
     rows = [f"  - [{x:.3f}, {y:.3f}, 0.0]" for x, y in BOARD]
     return "\n".join(["# A circuit board with six LEDs, as its drawing has it, m.", "leds:", *rows]) + "\n"
-
-
-def _range(rig: MeasuredRig) -> str:
-    near, far = rig.true.range_m or (0.0, 0.0)
-    return f"range: [{near:g}, {far:g}]                   # working distances, m"
-
-
-def _robot(robot: Robot, digits: int, remark: str) -> list[str]:
-    lines = ["robots:", f"  {robot.id}:", f"    leds:                           # {remark}"]
-    lines += [f"      - {_row(led, digits)}" for led in robot.leds]
-    lines.append(f"    led: {{radius: {robot.led_radius:g}}}           # of the light that is seen, m")
-    if robot.points:
-        points = ", ".join(f"{name}: {_row(place, digits)}" for name, place in robot.points.items())
-        lines.append(f"    points: {{{points}}}")
-    return lines
-
-
-def _row(values: Floats, digits: int) -> str:
-    return "[" + ", ".join(f"{value:.{digits}f}" for value in np.asarray(values) + 0.0) + "]"

@@ -59,7 +59,7 @@ class MeasuredRig:
 def draw_rig(seed: int) -> MeasuredRig:
     """The rig of a seed; every seed has its own errors of everything."""
     rng = np.random.default_rng([seed, 6])
-    camera, T_world_camera = _camera(rng), _place(rng)
+    camera, T_world_camera = drawn_camera(rng), _place(rng)
     leds = _flat(PLATE, PLATE_HEIGHT_M) + rng.normal(size=(LEDS, 3)) * [DRILLED_M, DRILLED_M, UPRIGHT_M]
     alpha = Robot("alpha", leds.round(7), led_radius=LED_RADIUS_M, points={"tool": _tool(seed)})
     board = _flat(BOARD, 0.0) + rng.normal(size=(LEDS, 3)) * [SOLDERED_M, SOLDERED_M, 0.0]
@@ -81,13 +81,13 @@ def _flat(drawn: tuple[tuple[float, float], ...], height: float) -> Floats:
     return np.array([(x, y, height) for x, y in drawn])
 
 
-def _camera(rng: np.random.Generator) -> Camera:
+def drawn_camera(rng: np.random.Generator, name: str = "camera") -> Camera:
     """A lens that bends some pixels at the edge, bought as 1400 px."""
     focal = FOCAL_PX * (1.0 + FOCAL_SHARE * rng.normal())
     x, y = np.array([WIDTH_PX - 1, HEIGHT_PX - 1]) / 2.0 + MIDDLE_PX * rng.normal(size=2)
     matrix = np.array([[focal, 0.0, x], [0.0, focal * (1.0 + 1e-4 * rng.normal()), y], [0.0, 0.0, 1.0]]).round(3)
     distortion = [-0.11, 0.03, 0.0, 0.0, 0.0] + rng.normal(size=5) * [0.02, 0.01, 3e-4, 3e-4, 0.0]
-    return Camera("camera", WIDTH_PX, HEIGHT_PX, matrix, "plumb_bob", distortion.round(6))
+    return Camera(name, WIDTH_PX, HEIGHT_PX, matrix, "plumb_bob", distortion.round(6))
 
 
 def _place(rng: np.random.Generator) -> Pose:
