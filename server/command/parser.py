@@ -16,6 +16,7 @@ COMMANDS = {
     "serve": "localize the robots that a source shows, publish their poses",
     "reload": "let a running server read its rig and calibration again",
     "locate": "poses of a folder of images, a video or a recording, as JSON lines",
+    "batch": "poses of many films and recordings at once: all cores, or a Dask cluster",
     "watch": "live table of every robot, its age, its state",
     "record": "record what servers publish, by listening to them",
     "replay": "publish a recording again with its timing, every key behind replay/",
