@@ -3,17 +3,18 @@
 A robot's pose is that of its frame's spots, whatever was expected; but where the solver began leaves its mark in the
 last digits of it, and these begin the solver in the next frame, without end. Rounded far above that mark, and far
 below all that a track is used for, tracks of the same frames agree soon after they began, some blocks of what is
-learned (`track.BLOCK_NS`) later at the latest. So a film can be cut, its pieces be localized side by side, and give
-the very bits of the whole (`asterism batch`); and localizing again can begin anywhere.
+learned (`track.BLOCK_NS`) later. So a film can be cut, its pieces be localized side by side, and give the very bits of
+the whole (`asterism batch`).
+
+Where the camera is, if it is followed (`world`), is left as it is: its filter forgets too slowly for that.
 """
 
 import numpy as np
 
-from asterism.protocol.geometry import Floats, Pose
+from asterism.protocol.geometry import Floats
 from asterism.server.chain.world import Following
 from asterism.server.pose.courses import Courses
-from asterism.server.pose.place import Place
-from asterism.server.pose.track import LOG_SUM, NEWEST, Tracks
+from asterism.server.pose.track import EVIDENCE, KNOWN, LOG_SUM, NEWEST, Tracks
 
 # Steps are powers of two, so that what is rounded stays as it is.
 TURN = 2.0**22  # a step of a rotation matrix: 2.4e-7
@@ -22,8 +23,19 @@ PACE = 2.0**16  # of velocities and turns: 1.5e-5 m/s and rad/s
 SUM = 2.0**16  # of sums of logarithms
 LIKELY = 2.0**8  # of the weights of manners of moving
 SHARE = 2.0**17  # of a number of any size: 8e-6 of it
+SIGMA = 2.0**7  # of what is learned of a robot's LEDs, which is one sigma: 1 %
+ODDS = 2.0**6  # of the evidence for a tilt, nats
 HALF = 2.0**11  # of a factor of a covariance of motion: 5e-4 of it
-PLACE = 2.0**26  # of where the camera is: 1.5e-8 m
+
+
+def learned_at(tracks: Tracks, exposed_ns: int) -> Floats:
+    """As `Tracks.learned_at`, what a block has told rounded."""
+    before = tracks.misfits[:, KNOWN].copy()
+    learned = tracks.learned_at(exposed_ns)
+    new = learned != before
+    if new.any():
+        learned[new] = tracks.misfits[new, KNOWN] = _shares(learned[new], SIGMA)
+    return learned
 
 
 def forgetful(tracks: Tracks) -> Tracks:
@@ -31,6 +43,8 @@ def forgetful(tracks: Tracks) -> Tracks:
     misfits = tracks.misfits
     misfits[:, NEWEST] = _shares(misfits[:, NEWEST])
     misfits[:, LOG_SUM] = _steps(misfits[:, LOG_SUM], SUM)
+    numbers = _shares(tracks.numbers)
+    numbers[:, EVIDENCE] = _steps(numbers[:, EVIDENCE], ODDS)
     rotations = _rotations(np.concatenate([tracks.rotations, tracks.other_rotations]))
     robots = len(tracks.seen_ns)
     told = tracks._replace(
@@ -39,10 +53,10 @@ def forgetful(tracks: Tracks) -> Tracks:
         velocities=_steps(tracks.velocities, PACE),
         turns=_steps(tracks.turns, PACE),
         other_rotations=rotations[robots:],
-        numbers=_shares(tracks.numbers),
+        numbers=numbers,
         courses=_courses(tracks.courses),
     )
-    return Following.of(told, _place(tracks.place)) if isinstance(tracks, Following) else told
+    return Following.of(told, tracks.place) if isinstance(tracks, Following) else told
 
 
 def _steps(values: Floats, per_one: float) -> Floats:
@@ -58,17 +72,16 @@ def _shares(values: Floats, per_one: float = SHARE) -> Floats:
 
 
 def _rotations(rotations: Floats) -> Floats:
-    """Rounded, and rotations again: two of Newton's steps to the nearest one. Zeros stay zeros."""
+    """Rounded, and rotations again, to 1e-13: Newton's step to the nearest one. Zeros stay zeros."""
     near = _steps(rotations, TURN)
-    for _ in range(2):
-        near = near @ (1.5 * np.eye(3) - 0.5 * np.swapaxes(near, -1, -2) @ near)
-    return near
+    out: Floats = near @ (1.5 * np.eye(3) - 0.5 * np.swapaxes(near, -1, -2) @ near)
+    return out
 
 
-def _covariances(covariances: Floats, per_one: float) -> Floats:
+def _covariances(covariances: Floats) -> Floats:
     """Rounded as their factors are, so that they stay positive; what has no factor is left as it is."""
     try:
-        halves = _shares(np.asarray(np.linalg.cholesky(covariances), np.float64), per_one)
+        halves = _shares(np.asarray(np.linalg.cholesky(covariances), np.float64), HALF)
     except np.linalg.LinAlgError:
         return covariances
     return np.asarray(halves @ np.swapaxes(halves, -1, -2), np.float64)
@@ -79,7 +92,7 @@ def _courses(courses: Courses) -> Courses:
     if not len(known):
         return courses
     covariances = courses.covariances.copy()
-    covariances[known] = _covariances(covariances[known], HALF)
+    covariances[known] = _covariances(covariances[known])
     return Courses(
         courses.seen_ns,
         _rotations(courses.rotations),
@@ -88,12 +101,3 @@ def _courses(courses: Courses) -> Courses:
         covariances,
         _steps(courses.weights, LIKELY),
     )
-
-
-def _place(place: Place) -> Place:
-    T = place.T_world_camera
-    orientation = _steps(T.orientation, PLACE)
-    pose = Pose(_steps(T.position, PLACE), orientation / np.linalg.norm(orientation))
-    noise = _covariances(place.noise, SHARE)
-    stays = _covariances(place.covariance - place.noise, SHARE)
-    return Place(pose, noise + stays, noise, place.at_ns, place.seen_ns, place.kick)

@@ -14,7 +14,7 @@ from asterism.server.centres.leaning_spots import refine_leaning
 from asterism.server.centres.streaks import streak_moments
 from asterism.server.centres.weighted import weigh_spots
 from asterism.server.chain.answers import answers_of
-from asterism.server.chain.forgetting import forgetful
+from asterism.server.chain.forgetting import forgetful, learned_at
 from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.chain.world import Following, carried_over, place_before, place_now
 from asterism.server.identity.identify import identify
@@ -46,7 +46,7 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     before = place_before(tracks, rig, frame.exposed_ns) if rig.follows_world else None
     if before is not None:
         plan = plan.at(before.T_world_camera)
-    learned = known.learned_at(frame.exposed_ns)
+    learned = learned_at(known, frame.exposed_ns)
     blobs = _blobs(image, plan)
     seen = rays_of(blobs, plan)
     matches = identify(seen, plan, _at_own_rows(known, frame, plan), frame.exposed_ns)

@@ -71,7 +71,7 @@ def _open(name: str, source: str, rig: Rig, how: How, say: Callable[[str], None]
     try:
         one.rig, frames = open_fitting(source, rig, tell, how.topic)
         one.length, one.rate_hz = frames.length, frames.rate_hz
-        one.places = _places(frames, how)
+        one.places = _places(frames, one.rig, how)
         one.basis = basis_of(source, one.rig, [how.independent, how.smooth, how.topic])
     except (InputError, WorldError) as error:
         one.problem = str(error)
@@ -84,9 +84,12 @@ def _open(name: str, source: str, rig: Rig, how: How, say: Callable[[str], None]
     return one
 
 
-def _places(frames: Source, how: How) -> int | None:
-    """Smoothing needs what came before from the film's begin on: it does not forget in so short a time."""
-    return frames.places if isinstance(frames, Cuttable) and how.smooth is None else None
+def _places(frames: Source, rig: Rig, how: How) -> int | None:
+    """How many places there are to cut it at. Smoothing, and a camera that is followed, do not forget in so short a
+    time what came before.
+    """
+    remembers = how.smooth is not None or rig.follows_world
+    return frames.places if isinstance(frames, Cuttable) and not remembers else None
 
 
 def _film(one: _Opened, how: How, key: str, out: Path) -> Film:

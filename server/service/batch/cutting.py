@@ -1,8 +1,8 @@
 """Where films are cut, so that all cores have work to the end.
 
 A piece costs what its memory takes to be that of the whole: some blocks of what is learned (`forgetting`). So short
-films stay whole, and so do those that cannot begin anywhere: videos, bags, stacks of images, and films that are to be
-smoothed.
+films stay whole, and so do those that cannot begin anywhere: videos, bags, stacks of images; films that are to be
+smoothed; and those of a camera that is followed.
 """
 
 from collections.abc import Sequence
