@@ -16,6 +16,7 @@ from asterism.server.command.batch_tables import print_changes, print_table
 from asterism.server.command.shared_arguments import add_out, add_smoothing_ways, add_topic, named
 from asterism.server.service.batch.assembling import assemble
 from asterism.server.service.batch.cluster import cluster
+from asterism.server.service.batch.comparing import compared
 from asterism.server.service.batch.folder import (
     RESULT,
     Outcome,
@@ -27,7 +28,6 @@ from asterism.server.service.batch.folder import (
     write,
 )
 from asterism.server.service.batch.named import films_of
-from asterism.server.service.batch.outcome import Changes, changes
 from asterism.server.service.batch.running import Course
 from asterism.server.service.batch.running import run as run_all
 from asterism.server.service.batch.workers import workers
@@ -39,8 +39,6 @@ EXAMPLES = (
     "asterism batch rig.yaml recordings/* -o poses2 --against poses\n"
     "asterism batch rig.yaml recordings/* -o poses --dask tcp://HOST:8786\n"
 )
-
-TOLERANCE_M, TOLERANCE_RAD = 1e-6, 1e-6  # as `compare` has them
 
 
 def add_arguments(part: argparse.ArgumentParser) -> None:
@@ -65,7 +63,8 @@ def run(options: argparse.Namespace) -> int:
     """Solve what is not solved yet, and tell what came of it; exit code 1 if a film failed."""
     if options.independent and options.smooth:
         raise InputError("--independent and --smooth exclude each other: each frame alone, or joined to those before")
-    earlier = read_result(options.against) if options.against else None
+    if options.against:
+        read_result(options.against)
     if options.against and options.out.exists() and options.against.resolve() == options.out.resolve():
         raise InputError(f"--against {options.against}: is -o DIR itself, expected an earlier batch's folder")
     rig = load_rig(options.rig)
@@ -75,12 +74,15 @@ def run(options: argparse.Namespace) -> int:
         say(told)
     with held(options.out):
         result = _solve(options, rig, films)
-        if earlier is not None:
-            result.against, result.changes = str(options.against), _changes(options, earlier, result.films)
+        if options.against:
+            result.against = str(options.against)
+            result.changes, apart = compared(options.against, result, options.out)
+            for text in apart:
+                say(text)
         write(options.out / RESULT, result)
     print_table(result)
-    if earlier is not None:
-        print_changes(result.changes, f"what changed against {options.against}")
+    if options.against:
+        print_changes(result.changes, f"from {options.against} to {options.out}")
     failed = sum(film.state != "done" for film in result.films)
     say(f"{options.out / RESULT}: {len(result.films) - failed} of {len(result.films)} films done")
     return 1 if failed else 0
@@ -146,20 +148,3 @@ def _executor(options: argparse.Namespace, rig: Rig, films: dict[str, str]) -> I
         warm_up(*localizing(rig))
         with workers(cores()) as executor:
             yield executor, cores()
-
-
-def _changes(options: argparse.Namespace, earlier: Result, films: list[Outcome]) -> dict[str, Changes]:
-    """Of every film that both have."""
-    there = {film.name: film for film in earlier.films if film.state == "done"}
-    told = {}
-    for film in films:
-        if film.state != "done":
-            continue
-        if film.name not in there:
-            say(f"{film.name}: is not in {options.against}")
-            continue
-        before = options.against / there[film.name].file
-        told[film.name] = changes(before, options.out / film.file, TOLERANCE_M, TOLERANCE_RAD)
-    for name in there.keys() - {film.name for film in films}:
-        say(f"{name}: is in {options.against} only")
-    return told

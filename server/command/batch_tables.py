@@ -3,6 +3,7 @@
 from rich.console import Console
 from rich.table import Table
 
+from asterism.server.service.batch.comparing import TOLERANCES
 from asterism.server.service.batch.folder import Outcome, Result
 from asterism.server.service.batch.outcome import Changes
 
@@ -47,12 +48,14 @@ def _print_rest(console: Console, film: Outcome) -> None:
         console.print(f"{film.name}: {text}", highlight=False, markup=False)
 
 
-def print_changes(changes: dict[str, Changes], title: str) -> bool:
+def print_changes(changes: dict[str, Changes], title: str, tolerances: tuple[float, float] = TOLERANCES) -> bool:
     """What changed in every film, robot by robot; whether nothing did, beyond the tolerances."""
     same = all(film.is_none for film in changes.values())
     console = _console()
     if same:
-        console.print(f"{title}: nothing beyond the tolerances in {len(changes)} films", highlight=False, markup=False)
+        within = f"within {tolerances[0]:g} m and {tolerances[1]:g} rad"
+        films = f"{len(changes)} film{'s' * (len(changes) != 1)}"
+        console.print(f"{title}: the same in {films}, {within}", highlight=False, markup=False)
         return True
     table = _table(
         ("film", "left"), ("robot", "left"), ("found", "right"), ("now", "right"), ("other\nstate", "right"),

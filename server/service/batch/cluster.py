@@ -1,5 +1,6 @@
 """A Dask cluster in place of this machine's cores. Files go over no wire: workers see them under the same paths."""
 
+import asyncio
 import contextlib
 import importlib.util
 import uuid
@@ -64,13 +65,30 @@ def cluster(address: str, folder: Path, sources: list[str], rig: Rig) -> Iterato
 def _client(address: str) -> "Client":
     from distributed import Client
 
+    # A client that failed to connect tells of it again when it is forgotten.
     try:
-        return Client(address, timeout=ANSWERS_S, set_as_default=False)
+        asyncio.run(_ask(address))
     except ValueError as error:
         raise InputError(f"--dask {address}: {error}; expected such as tcp://HOST:8786") from None
     except (OSError, TimeoutError) as error:
-        why = str(error).splitlines()[0] if str(error) else f"no answer within {ANSWERS_S:g} s"
+        why = str(error).splitlines()[0] if str(error) else f"not within {ANSWERS_S:g} s"
         raise WorldError(f"--dask {address}: no scheduler answers there ({why}); start one: dask scheduler") from None
+    except Exception as error:  # what others say makes it stumble over anything
+        raise WorldError(
+            f"--dask {address}: what answers there is no Dask scheduler ({type(error).__name__})"
+        ) from None
+    return Client(address, timeout=ANSWERS_S, set_as_default=False)
+
+
+async def _ask(address: str) -> None:
+    from distributed import rpc
+
+    async with asyncio.timeout(ANSWERS_S):
+        scheduler = rpc(address, timeout=ANSWERS_S)
+        try:
+            await scheduler.identity()
+        finally:
+            await scheduler.close_rpc()
 
 
 def _threads(client: "Client", address: str) -> dict[str, int]:

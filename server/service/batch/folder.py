@@ -112,7 +112,7 @@ def is_batch(folder: Path) -> bool:
 
 
 def prepare(folder: Path, force: bool) -> str:
-    """Make the folder, or find the batch to go on with; returns what there is to say about it.
+    """Set aside what is to be replaced, or find the batch to go on with; returns what there is to say about it.
 
     Raises InputError where it holds something else (unless ``force``: then that is kept beside), or cannot be written.
     """
@@ -133,18 +133,27 @@ def prepare(folder: Path, force: bool) -> str:
         kept = free_name(folder)
         folder.rename(kept)
         told = f"{folder}: the old one is kept as {kept}"
-    (folder / HIDDEN).mkdir(parents=True, exist_ok=True)
     return told
 
 
 @contextlib.contextmanager
 def held(folder: Path) -> Iterator[None]:
-    """Keep other batches out. Raises InputError where one is at work."""
-    hidden = folder / HIDDEN
+    """Make the folder, where there is none, and keep other batches out. Raises InputError where one is at work.
+
+    Where nothing came of it, nothing is left.
+    """
+    hidden, made = folder / HIDDEN, not folder.exists()
     hidden.mkdir(parents=True, exist_ok=True)
     with (hidden / "lock").open("w") as file:
         _lock(file, folder)
-        yield
+        try:
+            yield
+        finally:
+            if not (hidden / PLAN).exists():
+                shutil.rmtree(hidden, ignore_errors=True)
+                if made:
+                    with contextlib.suppress(OSError):
+                        folder.rmdir()
 
 
 def _lock(file: TextIO, folder: Path) -> None:
