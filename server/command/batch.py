@@ -103,7 +103,7 @@ def _solve(options: argparse.Namespace, rig: Rig, films: dict[str, str]) -> Resu
             say(f"{len(done)} of {len(ways)} films were done before")
 
         def finish(course: Course) -> None:
-            outcome = done[course.name] = assemble(course, out, films[course.name])
+            outcome = done[course.name] = assemble(course, out)
             for text in outcome.notes:
                 say(f"{course.name}: {text}")
             if outcome.problem:

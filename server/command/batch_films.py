@@ -8,9 +8,11 @@ from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.rig import Rig
 from asterism.server.command.fitted_rig import open_fitting
 from asterism.server.command.installed import missing_module
+from asterism.server.service.batch.basis import Basis, basis_of
 from asterism.server.service.batch.cutting import WHOLE, cuts
-from asterism.server.service.batch.folder import HIDDEN, PLAN, Basis, Planned, basis_of, pieces_folder, read_plan, write
+from asterism.server.service.batch.folder import HIDDEN, PLAN, Planned, pieces_folder, read_plan, write
 from asterism.server.service.batch.jobs import Film
+from asterism.server.service.batch.named import files_of
 from asterism.server.service.batch.running import Course
 from asterism.server.sources.source import Cuttable, Source
 
@@ -72,7 +74,7 @@ def _open(name: str, source: str, rig: Rig, how: How, say: Callable[[str], None]
         one.rig, frames = open_fitting(source, rig, tell, how.topic)
         one.length, one.rate_hz = frames.length, frames.rate_hz
         one.places = _places(frames, one.rig, how)
-        one.basis = basis_of(source, one.rig, [how.independent, how.smooth, how.topic])
+        one.basis = basis_of(files_of(source), one.rig, [how.independent, how.smooth, how.topic])
     except (InputError, WorldError) as error:
         one.problem = str(error)
     except ModuleNotFoundError as error:

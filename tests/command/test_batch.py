@@ -19,7 +19,9 @@ from asterism.server import Frame, Tracks, localize
 from asterism.server.__main__ import main
 from asterism.server.chain.report import report
 from asterism.server.command.batch_films import How, courses
+from asterism.server.command.report import _observe_batch
 from asterism.server.service.batch import cluster, cutting
+from asterism.server.service.batch.folder import Outcome, Result
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.simulation.simulate import Scene
 
@@ -187,6 +189,18 @@ def test_two_batches_are_compared(tmp_path: Path, capsys: pytest.CaptureFixture[
     shown = capsys.readouterr().out.split()
     assert shown[-8:] == ["film", "alpha", "100.0%", "100.0%", "0", "1", "2", "0"]
     assert main(["compare", a, str(DEMO_RIG.parent)]) == 2
+
+
+def test_a_report_takes_all_films_that_have_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    films = []
+    for name in ("one", "two"):
+        assert main(["simulate", str(DEMO_RIG), str(tmp_path / name), "--frames", "2", "--quiet"]) == 0
+        films.append(Outcome(name, str(tmp_path / name / "frames"), "done"))
+    (tmp_path / "two" / "truth.jsonl").unlink()
+    seen = _observe_batch(RIG, Result("1", "r", False, None, None, films))
+    assert seen is not None
+    assert [name for name, _ in seen.found] == ["one/00000.png", "one/00001.png"]
+    assert seen.surveyed.keys() == {"one/00000.png", "one/00001.png"}
 
 
 @pytest.mark.parametrize(

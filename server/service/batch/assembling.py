@@ -9,10 +9,10 @@ from asterism.server.service.batch.outcome import Counting
 from asterism.server.service.batch.running import Course
 
 
-def assemble(course: Course, folder: Path, source: str) -> Outcome:
+def assemble(course: Course, folder: Path) -> Outcome:
     """The outcome of a film of which nothing more is to be done; its lines stand under their name if it is whole."""
     told = list(course.told.values())
-    outcome = Outcome(course.name, source, pieces=len(course.pieces))
+    outcome = Outcome(course.name, course.film.source, pieces=len(course.pieces))
     outcome.seconds = sum(each.seconds for each in told)
     if course.problem:
         outcome.problem = course.problem

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 from asterism.protocol.errors import InputError, WorldError
 from asterism.protocol.rig import Rig
 from asterism.server.chain.warm_up import localizing, warm_up
-from asterism.server.service.batch.folder import HIDDEN, program
+from asterism.server.service.batch.basis import program
+from asterism.server.service.batch.folder import HIDDEN
 from asterism.server.service.batch.workers import be_alone
 
 if TYPE_CHECKING:

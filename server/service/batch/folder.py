@@ -7,44 +7,21 @@ DIR/.batch/NAME.KEY/    its pieces; KEY stands for all that they rest on
 """
 
 import contextlib
-import hashlib
 import shutil
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
 import msgspec
-import numpy as np
 
-from asterism import __version__
 from asterism.protocol.errors import InputError
-from asterism.protocol.rig import Rig
 from asterism.server.output import check_folder, free_name
+from asterism.server.service.batch.basis import Basis
 from asterism.server.service.batch.cutting import Piece
-from asterism.server.service.batch.named import files_of
 from asterism.server.service.batch.outcome import Changes, Robot
 
 RESULT, HIDDEN, PLAN = "batch.json", ".batch", "plan.json"
 OUTCOME = "outcome.json"
-
-
-class Basis(msgspec.Struct):
-    """What a film's lines rest on, each as a short digest."""
-
-    program: str
-    rig: str
-    source: str
-    options: str
-
-    def key(self, pieces: Sequence[Piece]) -> str:
-        """All of it, and where the film is cut."""
-        return _digest(msgspec.json.encode([self, list(pieces)]))
-
-    def changed(self, before: "Basis") -> str:
-        """What is another than before, in words; none of it: nothing."""
-        words = {"program": "the program", "rig": "the rig", "source": "the source", "options": "the options"}
-        return " and ".join(word for name, word in words.items() if getattr(self, name) != getattr(before, name))
 
 
 class Planned(msgspec.Struct):
@@ -203,27 +180,3 @@ def outcome_of(folder: Path, own: Path) -> Outcome | None:
         return told if (folder / told.file).stat().st_size == told.bytes else None
     except (OSError, msgspec.DecodeError):
         return None
-
-
-def basis_of(source: str, rig: Rig, options: Sequence[object]) -> Basis:
-    """What a film's lines rest on. Raises OSError for files that cannot be looked at."""
-    stats = [(path.name, stat.st_size, stat.st_mtime_ns) for path in files_of(source) for stat in [path.stat()]]
-    with np.printoptions(floatmode="unique", threshold=sys.maxsize):
-        told = repr(rig)
-    return Basis(
-        program(), _digest(told.encode()), _digest(msgspec.json.encode(stats)), _digest(repr(options).encode())
-    )
-
-
-def program() -> str:
-    """The version, and a digest of the code that solves."""
-    server = Path(__file__).resolve().parents[2]
-    contents = hashlib.sha256()
-    for room in (server, server.parent / "protocol", server.parent / "recordings"):
-        for module in sorted(room.rglob("*.py")):
-            contents.update(module.read_bytes())
-    return f"{__version__} {contents.hexdigest()[:16]}"
-
-
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()[:16]

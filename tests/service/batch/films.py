@@ -93,6 +93,6 @@ def batched(
     course.recall()
     found: list[Outcome] = []
     with ThreadPoolExecutor(2) as executor:
-        run([course], executor, (), lambda course: found.append(assemble(course, folder, "held")))
+        run([course], executor, (), lambda course: found.append(assemble(course, folder)))
     outcome = found[0]
     return (folder / outcome.file).read_bytes() if outcome.file else b"", outcome
