@@ -123,7 +123,7 @@ def run(
     """
     going: dict[Future[Told], tuple[Course, Job]] = {}
     left = list(courses)
-    for course in sorted(left, key=lambda course: -sum((end or 0) - first for first, end in course.pieces)):
+    for course in sorted(left, key=lambda course: -(course.length or 0)):
         _begin(course, executor, going)
     while left:
         for course in [course for course in left if not course.going]:
