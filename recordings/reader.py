@@ -22,7 +22,7 @@ from asterism.protocol.messages import FRAME_REPORT, PROTOCOL, STATUS, Kind, Mes
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig
 from asterism.recordings.records import MAGIC, Damaged, read_metadata
-from asterism.recordings.summary_check import check_index, read_at
+from asterism.recordings.summary_check import check_index, counted_chunks, read_at
 from asterism.recordings.told import METADATA, RIG, is_sound, rig_files, rig_told
 from asterism.recordings.walk import Gap, opened, walk
 
@@ -98,7 +98,11 @@ class Recording:
 
     def frames(self) -> Iterator[tuple[NDArray[np.uint8], int, int]]:
         """Images (h, w) uint8 with their mid-exposure in ns and their number."""
-        for message in self._images():
+        return self.frames_from(0)
+
+    def frames_from(self, first: int) -> Iterator[tuple[NDArray[np.uint8], int, int]]:
+        """The same without so many before; what lies before them is not read."""
+        for message in self._images_from(first):
             yield decode_image(message.payload), message.log_ns, message.sequence
 
     def count_frames(self) -> int:
@@ -117,6 +121,27 @@ class Recording:
 
     def _images(self) -> Iterator[Message]:
         return chain.from_iterable(self._messages(file) for file in self._frames)
+
+    def _images_from(self, first: int) -> Iterator[Message]:
+        for file in self._frames:
+            held = self._statistics[file].message_count
+            if first < held:
+                start, before = self._chunk_of(file, first) if first else (None, 0)
+                yield from islice(self._messages(file, start), first - before, None)
+            first = max(first - held, 0)
+
+    def _chunk_of(self, file: Path, first: int) -> tuple[int, int]:
+        """Where the chunk begins that holds a message, and how many messages are before it."""
+        before = 0
+        with opened(file) as stream:
+            try:
+                for place, count in counted_chunks(stream):
+                    if first < before + count:
+                        return place.offset, before
+                    before += count
+            except Damaged as damage:
+                raise InputError(f"{file}: is damaged ({damage}); {self._hint()}") from None
+        raise InputError(f"{file}: is damaged (its index tells of other messages); {self._hint()}")
 
     def _check(self, file: Path) -> Statistics:
         with opened(file) as stream:
@@ -149,11 +174,11 @@ class Recording:
                     raise InputError(f"{file}: is damaged (its metadata); {self._hint()}")
         return None
 
-    def _messages(self, file: Path) -> Iterator[Message]:
+    def _messages(self, file: Path, start: int | None = None) -> Iterator[Message]:
         schemas: dict[int, Schema] = {}
         channels: dict[int, Channel] = {}
         with opened(file) as stream:
-            for part in walk(stream):
+            for part in walk(stream, start):
                 if isinstance(part, Gap) or part.amiss:
                     why = part.why if isinstance(part, Gap) else "a chunk's head"
                     raise InputError(f"{file}: is damaged ({why}); {self._hint()}")

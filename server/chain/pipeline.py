@@ -14,6 +14,7 @@ from asterism.server.centres.leaning_spots import refine_leaning
 from asterism.server.centres.streaks import streak_moments
 from asterism.server.centres.weighted import weigh_spots
 from asterism.server.chain.answers import answers_of
+from asterism.server.chain.forgetting import forgetful, learned_at
 from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.chain.world import Following, carried_over, place_before, place_now
 from asterism.server.identity.identify import identify
@@ -45,7 +46,7 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     before = place_before(tracks, rig, frame.exposed_ns) if rig.follows_world else None
     if before is not None:
         plan = plan.at(before.T_world_camera)
-    learned = known.learned_at(frame.exposed_ns)
+    learned = learned_at(known, frame.exposed_ns)
     blobs = _blobs(image, plan)
     seen = rays_of(blobs, plan)
     matches = identify(seen, plan, _at_own_rows(known, frame, plan), frame.exposed_ns)
@@ -67,12 +68,12 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
         solutions, choices, known = _solve_rolling(frame, blobs, seen, matches.found, plan, known, commons)
     if before is None:
         answers = answers_of(plan, blobs, seen, matches, solutions, choices)
-        return FrameResult(frame.index, frame.exposed_ns, blobs, answers, learned), known
+        return FrameResult(frame.index, frame.exposed_ns, blobs, answers, learned), forgetful(known)
     place = place_now(before, plan, blobs, seen, matches.found, solutions)
     carried_over(choices, before.T_world_camera, place)
     answers = answers_of(plan.at(place.T_world_camera), blobs, seen, matches, solutions, choices)
     result = FrameResult(frame.index, frame.exposed_ns, blobs, answers, learned, place)
-    return result, Following.of(known, place)
+    return result, forgetful(Following.of(known, place))
 
 
 def _image_of(frame: Frame, rig: Rig) -> NDArray[np.uint8]:

@@ -1,4 +1,4 @@
-"""asterism compare: differences of two recordings."""
+"""asterism compare: differences of two recordings, or of two batches."""
 
 import argparse
 import math
@@ -7,16 +7,24 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from asterism.protocol.errors import InputError
 from asterism.recordings.compare import compare, percentile
 from asterism.recordings.reader import Recording
+from asterism.server.command.batch_tables import print_changes
 from asterism.server.command.number_arguments import not_negative
+from asterism.server.service.batch.comparing import compared
+from asterism.server.service.batch.folder import is_batch, read_result
 
-EXAMPLES = "asterism compare RECORDING_A RECORDING_B\nasterism compare A B --position 0.0001 --rotation 0.001\n"
+EXAMPLES = (
+    "asterism compare RECORDING_A RECORDING_B\n"
+    "asterism compare A B --position 0.0001 --rotation 0.001\n"
+    "asterism compare BATCH_A BATCH_B\n"
+)
 
 
 def add_arguments(part: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    part.add_argument("a", metavar="A", type=Path, help="a recording's folder")
+    part.add_argument("a", metavar="A", type=Path, help="a recording's folder, or a batch's")
     part.add_argument("b", metavar="B", type=Path, help="another")
     part.add_argument("--position", metavar="M", type=not_negative, default=1e-6, help="allowed, m (default: 1e-6)")
     part.add_argument("--rotation", metavar="RAD", type=not_negative, default=1e-6, help="allowed, rad (default: 1e-6)")
@@ -24,6 +32,8 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the differences; exit code 1 if they exceed the tolerances."""
+    if is_batch(options.a) or is_batch(options.b):
+        return _compare_batches(options)
     found = compare(Recording(options.a), Recording(options.b))
     table = Table(box=None, header_style="bold", padding=(0, 1, 0, 0))
     columns = (
@@ -66,6 +76,18 @@ def run(options: argparse.Namespace) -> int:
         highlight=False,
     )
     return 0 if same else 1
+
+
+def _compare_batches(options: argparse.Namespace) -> int:
+    for path in (options.a, options.b):
+        if not is_batch(path):
+            raise InputError(f"{path}: is no batch, the other is; expected two batches, or two recordings")
+    tolerances = options.position, options.rotation
+    changed, apart = compared(options.a, read_result(options.b), options.b, tolerances)
+    for text in apart:
+        print(text)
+    same = print_changes(changed, f"from {options.a} to {options.b}", tolerances)
+    return 0 if same and not apart else 1
 
 
 def _cell(value: float) -> str:

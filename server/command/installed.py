@@ -18,6 +18,8 @@ MODULES = {
     "pyarrow": ("pyarrow", "parquet"),
     "rosbags": ("rosbags", "ros"),
     "cyclonedds": ("cyclonedds", "dds"),
+    "dask": ("dask", "cluster"),
+    "distributed": ("distributed", "cluster"),
     "rerun": ("rerun-sdk", "review"),
     "foxglove": ("foxglove-sdk", "foxglove"),
     "foxglove_schemas_protobuf": ("foxglove-schemas-protobuf", ""),

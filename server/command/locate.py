@@ -7,28 +7,22 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import msgspec
-import numpy as np
 
 from asterism.protocol.errors import InputError
-from asterism.protocol.geometry import Pose
-from asterism.protocol.messages import Velocity
 from asterism.protocol.rig import Rig, load_rig
 from asterism.server.chain.frame import Frame, FrameResult
+from asterism.server.chain.lines import BOTH_WAYS, line, smoothed
 from asterism.server.chain.pipeline import localize
-from asterism.server.chain.smooth import Motions, SmoothedPose, smooth
-from asterism.server.chain.smooth_both import smooth_both
 from asterism.server.chain.warm_up import localizing, warm_up
 from asterism.server.command.fitted_rig import open_fitting
 from asterism.server.command.lines_output import lines_output
 from asterism.server.command.number_arguments import bits
 from asterism.server.command.record_arguments import add_record
 from asterism.server.command.recorded_film import film_recorder
-from asterism.server.command.shared_arguments import BOTH_WAYS, FINITE_SOURCE, add_out, add_smoothing_ways, add_topic
+from asterism.server.command.shared_arguments import FINITE_SOURCE, add_out, add_smoothing_ways, add_topic
 from asterism.server.output import check_file, check_folder_of_many
-from asterism.server.pose.solve import PoseEstimate
 from asterism.server.pose.track import Tracks
 from asterism.server.service.adviser import Adviser
 from asterism.server.service.live_line import LiveLine, Now
@@ -44,8 +38,6 @@ EXAMPLES = (
     "asterism locate rig.yaml frames/ -o poses.jsonl --smooth both\n"
     "asterism locate rig.yaml frames/ --record recordings\n"
 )
-
-NO_IMAGE = np.empty((0, 0), np.uint8)
 
 _LOG = logging.getLogger(__name__)
 
@@ -85,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
     with lines_output(options.out, options.force) as out, film_recorder(options, rig, source) as record:
         with stop_on_signals(stop), _live_line(options.out, source, tally):
             located = _watched(_located(source.frames(), rig, options.independent), tally, adviser, stop)
-            for frame, result in _smoothed(located, rig, options.smooth):
+            for frame, result in smoothed(located, rig, options.smooth):
                 if out is not None:
                     out.write(encoder.encode(line(frame, result)) + b"\n")
                 if record is not None:
@@ -142,22 +134,6 @@ def _watched(
             return
 
 
-def _smoothed(
-    located: Iterator[tuple[Frame, FrameResult]], rig: Rig, way: str | None
-) -> Iterator[tuple[Frame, FrameResult]]:
-    if way is None:
-        yield from located
-    elif way == BOTH_WAYS:
-        # Frames wait for some seconds: without their images.
-        light = ((replace(frame, image=NO_IMAGE), result) for frame, result in located)
-        yield from smooth_both(light, rig)
-    else:
-        motions = Motions.none()
-        for frame, result in located:
-            smoothed, motions = smooth(result, motions, rig)
-            yield frame, smoothed
-
-
 def _live_line(out: Path | None, source: Source, tally: Tally) -> AbstractContextManager[object]:
     """How it goes; nothing where the lines themselves run over the terminal."""
     if str(out) == "-" and sys.stdout.isatty():
@@ -175,45 +151,3 @@ def _log(frame: Frame, result: FrameResult) -> None:
     if _LOG.isEnabledFor(logging.DEBUG):
         states = ", ".join(f"{robot} {answer.state}" for robot, answer in result.answers.items())
         _LOG.debug("%s: %d spots; %s", frame.name, len(result.blobs.fates), states)
-
-
-def line(frame: Frame, result: FrameResult) -> dict[str, Any]:
-    """One line of output: the frame, every located robot, every lost one with its reason."""
-    robots, lost = [], {}
-    for robot, answer in result.answers.items():
-        if not isinstance(answer, PoseEstimate):
-            lost[robot] = answer.reason
-            continue
-        alternative = None
-        if answer.alternative is not None:
-            alternative = {**_pose(answer.alternative.pose), "odds": answer.alternative.odds}
-        told: dict[str, Any] = {
-            "id": robot,
-            "state": answer.state,
-            **_pose(answer.pose),
-            "covariance": answer.covariance.ravel().tolist(),
-            "leds": len(answer.leds),
-            "rms_px": answer.rms_px,
-            "alternative": alternative,
-        }
-        if answer.smoothed_by:
-            told |= {"smoothed": True, "filter": answer.smoothed_by}
-        if isinstance(answer, SmoothedPose) and answer.velocity is not None:
-            told["velocity"] = _velocity(answer.velocity)
-        if answer.extrapolated:
-            told["extrapolated"] = True
-        robots.append(told)
-    return {"frame": frame.name, "exposed_ns": frame.exposed_ns, "robots": robots, "lost": lost}
-
-
-def _pose(pose: Pose) -> dict[str, list[float]]:
-    return {"position": pose.position.tolist(), "orientation": pose.orientation.tolist()}
-
-
-def _velocity(velocity: Velocity) -> dict[str, list[float]]:
-    """In the robot's own frame, m/s and rad/s."""
-    return {
-        "linear": velocity.linear.tolist(),
-        "angular": velocity.angular.tolist(),
-        "covariance": velocity.covariance.ravel().tolist(),
-    }

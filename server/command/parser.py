@@ -17,6 +17,7 @@ COMMANDS = {
     "fuse": "poses of several cameras joined per robot, live from the network or from recordings",
     "reload": "let a running server read its rig and calibration again",
     "locate": "poses of a folder of images, a video or a recording, as JSON lines or a recording",
+    "batch": "poses of many films and recordings at once: all cores, or a Dask cluster",
     "watch": "live table of every robot, its age, its state",
     "router": "a zenoh router with our defaults, where cameras and robots of several hosts meet",
     "record": "record what servers publish, by listening to them",

@@ -2,6 +2,7 @@
 
 import argparse
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from rich.console import Console
@@ -18,14 +19,16 @@ from asterism.server.budget.truth import Bin, Compared, bins_of, compare, light_
 from asterism.server.budget.truth_lines import is_lines, match_lines, sightings_of_lines
 from asterism.server.budget.uncertainty import Uncertainty, read_uncertainty
 from asterism.server.budget.workspace import Budget, budget_of
-from asterism.server.calibration.leds.observations import observe
-from asterism.server.calibration.survey.survey import match_frames, read_survey
+from asterism.server.calibration.leds.observations import Sighting, observe
+from asterism.server.calibration.survey.survey import SurveyedFrame, match_frames, read_survey
 from asterism.server.chain.warm_up import localizing, warm_up
+from asterism.server.command.batch_tables import print_table
 from asterism.server.command.calibrate import TRUTH
 from asterism.server.command.fitted_rig import open_fitting
 from asterism.server.command.progress import progress, working
 from asterism.server.command.shared_arguments import FINITE_SOURCE, add_out, add_topic
 from asterism.server.output import check_folder, new_folder
+from asterism.server.service.batch.folder import Result, read_result
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import refuse_endless
 from asterism.server.sources.source import Source
@@ -34,9 +37,18 @@ EXAMPLES = (
     "asterism report rig.yaml -o report\n"
     "asterism report rig.yaml --truth truth.jsonl frames/ -o report\n"
     "asterism report left.yaml --truth truth.jsonl fused.jsonl -o report\n"
+    "asterism report rig.yaml --batch poses -o report\n"
 )
 
 PAGE = "report.html"
+TRUTH_NAME = "truth.jsonl"
+
+
+class Seen(NamedTuple):
+    """Frames by name with who was ``found`` in them, and the same frames ``surveyed``."""
+
+    found: list[tuple[str, list[Sighting]]]
+    surveyed: dict[str, SurveyedFrame]
 
 
 def add_arguments(part: argparse.ArgumentParser) -> None:
@@ -47,6 +59,12 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
         metavar=("TRUTH", "SOURCE"),
         nargs=2,
         help=f"measured beside predicted: {TRUTH}, and {FINITE_SOURCE}, or lines of locate or fuse",
+    )
+    part.add_argument(
+        "--batch",
+        metavar="DIR",
+        type=Path,
+        help="the same for all films of a batch that have a truth.jsonl beside them",
     )
     add_topic(part)
     add_out(part, "DIR", "where page and plots go, a new or empty folder")
@@ -63,6 +81,8 @@ def run(options: argparse.Namespace) -> int:
     measured = None
     if options.truth is None and options.topic is not None:
         raise InputError("--topic is for the source of --truth TRUTH SOURCE")
+    if options.truth is not None and options.batch is not None:
+        raise InputError("--truth and --batch exclude each other: one source, or all of a batch")
     if options.truth is not None:
         truth, name = options.truth
         refuse_endless(name, "report")
@@ -70,8 +90,14 @@ def run(options: argparse.Namespace) -> int:
             compared = _compare_lines(rig, Path(truth), Path(name), uncertainty, light)
         else:
             rig, source = open_fitting(name, rig, say, options.topic)
-            compared, light = _compare(rig, Path(truth), source, uncertainty, light)
+            compared, light = _compare(rig, _observe(rig, Path(truth), source), uncertainty, light)
         measured = (compared, bins_of(compared), f"{name} beside {truth}")
+    if options.batch is not None:
+        result = read_result(options.batch)
+        if films := _observe_batch(rig, result):
+            compared, light = _compare(rig, films, uncertainty, light)
+            measured = (compared, bins_of(compared), f"films of {options.batch} beside their truth")
+        print_table(result)
     with working("reckoning the budget") as now:
         budget = budget_of(rig, uncertainty, light)
         now("plots")
@@ -92,7 +118,8 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _compare(rig: Rig, truth: Path, source: Source, uncertainty: Uncertainty, light: Light) -> tuple[Compared, Light]:
+def _observe(rig: Rig, truth: Path, source: Source) -> Seen:
+    """Who was found in a source's frames, and who was surveyed in them."""
     survey = read_survey(truth, [robot.id for robot in rig.robots])
     warm_up(*localizing(rig))
     seen = [
@@ -102,8 +129,31 @@ def _compare(rig: Rig, truth: Path, source: Source, uncertainty: Uncertainty, li
     matched = match_frames(survey, [name for name, _ in seen], source.name)
     for remark in matched.remarks:
         say(remark)
-    light = light_of(rig, light, [sighting for _, sightings in seen for sighting in sightings])
-    return compare(rig, seen, matched.frames, uncertainty, light), light
+    return Seen(seen, matched.frames)
+
+
+def _observe_batch(rig: Rig, result: Result) -> Seen | None:
+    """The same of all films that have truth; frames by their film and name. None where none has."""
+    together = Seen([], {})
+    for film in result.films:
+        truth = next((path for path in _beside(Path(film.source)) if path.is_file()), None)
+        if truth is None:
+            say(f"{film.name}: no {TRUTH_NAME} is beside its frames")
+            continue
+        fitted, source = open_fitting(film.source, rig, say, result.topic)
+        seen = _observe(fitted, truth, source)
+        together.found.extend((f"{film.name}/{name}", sightings) for name, sightings in seen.found)
+        together.surveyed.update((f"{film.name}/{name}", frame) for name, frame in seen.surveyed.items())
+    return together if together.found else None
+
+
+def _beside(source: Path) -> tuple[Path, ...]:
+    return source / TRUTH_NAME, source.parent / TRUTH_NAME
+
+
+def _compare(rig: Rig, seen: Seen, uncertainty: Uncertainty, light: Light) -> tuple[Compared, Light]:
+    light = light_of(rig, light, [sighting for _, sightings in seen.found for sighting in sightings])
+    return compare(rig, seen.found, seen.surveyed, uncertainty, light), light
 
 
 def _compare_lines(rig: Rig, truth: Path, lines: Path, uncertainty: Uncertainty, light: Light) -> Compared:

@@ -5,6 +5,7 @@ T.81, markers), TIFF 6.0 and BigTIFF (directories), BMP (its info header).
 """
 
 import struct
+from pathlib import Path
 
 MOST_PAGES = 100_000
 MOST_PIXELS = 1 << 28  # larger than any camera's
@@ -45,6 +46,15 @@ def _sizes(data: bytes) -> list[tuple[int, int]]:
         width, height = struct.unpack_from("<ii", data, 18)
         return [(width, abs(height))]
     raise NoImage("is no PNG, TIFF, JPEG or BMP image")
+
+
+def is_tiff(path: Path) -> bool:
+    """Whether a file is one, whatever it is called: only these hold several images. One that cannot be read is not."""
+    try:
+        with path.open("rb") as file:
+            return file.read(4) in _TIFFS
+    except OSError:
+        return False
 
 
 def _png(data: bytes) -> tuple[int, int]:

@@ -1,6 +1,7 @@
 """Frames from a recording."""
 
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 from asterism.protocol.errors import InputError
@@ -23,6 +24,7 @@ class RecordedFrames:
         self._expected = Expected(rig)
         self._recording = Recording(path)
         self.length: int | None = self._recording.count_frames()
+        self.places: int | None = self.length
         if not self.length:
             raise InputError(f"{path}: holds no frames; record with --record-frames all to solve them again")
         self.rate_hz = self._recording.frame_rate_hz() or DEFAULT_RATE_HZ
@@ -32,8 +34,15 @@ class RecordedFrames:
 
         Raises InputError for frames of another size than the calibration's.
         """
-        before_ns = 0
-        for image, exposed_ns, index in self._recording.frames():
+        return self._checked(0)
+
+    def part(self, first: int, end: int) -> Iterator[Frame]:
+        """Some of them. Raises InputError as `frames` does for them."""
+        return islice(self._checked(first), end - first)
+
+    def _checked(self, first: int) -> Iterator[Frame]:
+        before_ns = next(self._recording.frames_from(first - 1))[1] if first else 0
+        for image, exposed_ns, index in self._recording.frames_from(first):
             self._expected.check(image, f"{self.name}, frame {index}")
             if exposed_ns < before_ns:
                 self._say(

@@ -37,6 +37,22 @@ class Source(Protocol):
 
 
 @runtime_checkable
+class Cuttable(Source, Protocol):
+    """A source that can begin anywhere. It has ``places``, one after the other, each of which holds a frame or one that
+    cannot be read; None where it cannot begin anywhere after all.
+    """
+
+    @property
+    def places(self) -> int | None:
+        """How many there are."""
+        ...
+
+    def part(self, first: int, end: int) -> Iterator[Frame]:
+        """The frames at places from ``first`` up to ``end``, as `frames` gives them; raises what that raises."""
+        ...
+
+
+@runtime_checkable
 class LiveSource(Source, Protocol):
     """A source that runs by itself. ``clock`` stamps its frames; ``problem`` says why there are none now, if so;
     ``missed`` counts those that it knows of but could not give.

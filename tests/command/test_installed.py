@@ -24,7 +24,7 @@ def test_every_module_is_in_the_extra_that_is_named() -> None:
     for module, (distribution, extra) in MODULES.items():
         assert distribution in distributions(extras[extra]), module
     named = {distribution for distribution, _ in MODULES.values()}
-    imported = ("server", "review", "metrics", "ros", "dds", "foxglove", "parquet")
+    imported = ("server", "review", "metrics", "ros", "dds", "foxglove", "parquet", "cluster")
     wanted = distributions([*PROJECT["dependencies"], *(each for extra in imported for each in extras[extra])])
     assert wanted == named
 
