@@ -50,7 +50,7 @@ def sorted_out(found: Solution, sight: Sight, scale: float, before: Foresight) -
     left_out = [camera for camera in whole if camera not in found.wanted.spots]
     said = off_of(left_out, whole, found, sight) if left_out else {}
     grown = max(scale, found.cost / found.freedom) if is_surprising(found.cost / scale, found.freedom) else scale
-    return told(found, sight, grown, said), found
+    return told(found, grown, said), found
 
 
 def _without_a_spot(found: Solution, sight: Sight, scale: float) -> Solution | None:

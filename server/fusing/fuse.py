@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from asterism.server.chain.answers import NO_POSE
-from asterism.server.fusing.claims import Claim, claims_of
-from asterism.server.fusing.disagree import misplaced_text, off_of, sorted_out
+from asterism.server.fusing.claims import Claim, Foreseen, claims_of
+from asterism.server.fusing.disagree import is_surprising, misplaced_text, off_of, sorted_out
 from asterism.server.fusing.films import Film, Spots, film_of, pairs_of
 from asterism.server.fusing.fleet import Fleet
 from asterism.server.fusing.follow import Courses, Look, follow
@@ -23,13 +23,16 @@ from asterism.server.fusing.memory import Foresight, Joint, Known
 from asterism.server.fusing.misfit import is_due, looked_at
 from asterism.server.fusing.passed import passed_through
 from asterism.server.fusing.places import Places, add_ties, judged
+from asterism.server.fusing.quick import quick_claims
 from asterism.server.fusing.sighting import Sighting
-from asterism.server.fusing.solution import Solution, likelier, solutions, tilt_squares, unlike_starts
+from asterism.server.fusing.solution import Solution, are_unlike, likelier, solutions, tilt_squares, unlike_starts
 from asterism.server.pose.solve import Lost
 from asterism.server.pose.track import MOST_EVIDENCE, TILT_MEMORY
 
 FRAME_S = 1.0 / 60.0  # TILT_MEMORY is for
+COMPARED_NS = 40_000_000  # from one comparison of the cameras' places to the next
 KEPT_FILMS = 2  # from so many frames ago to now a robot's rays move
+ELSEWHERE_M, ELSEWHERE = 0.01, 6.0  # m, and sigmas, from where a robot should be
 KEPT_S = 3.0  # how long residuals count
 USUAL_FREEDOM = 300.0  # of the belief that spots are as uncertain as they say
 LEAST_SCALE, MOST_SCALE = 0.8, 4.0
@@ -45,10 +48,13 @@ def fuse(sightings: Sequence[Sighting], fleet: Fleet, before: Joint) -> tuple[Fu
     joint = before.hearing(sightings, tuple(fleet.robots))
     current = joint.counting(exposed_ns)
     foresight = Foresight(joint, exposed_ns)
-    claims = claims_of(fleet, current, foresight)
     courses = joint.courses_before(min(sighting.exposed_ns for sighting in current))
-    line = _Line(joint, Sight(fleet, current, exposed_ns, courses), foresight)
-    line.solve({robot: claim for robot, claim in claims.items() if isinstance(claim, Claim)})
+    sight = Sight(fleet, current, exposed_ns, courses)
+    claims: Mapping[str, Claim | Lost] | None = quick_claims(fleet, current, foresight, exposed_ns)
+    line = None if claims is None else _Line(joint, sight, foresight, claims)
+    if claims is None or line is None or line.surprised:
+        claims = claims_of(fleet, current, foresight)
+        line = _Line(joint, sight, foresight, claims)
     answers = {
         robot: claim if isinstance(claim, Lost) else line.answers.get(robot, Lost(NO_POSE))
         for robot, claim in claims.items()
@@ -63,15 +69,17 @@ def fuse(sightings: Sequence[Sighting], fleet: Fleet, before: Joint) -> tuple[Fu
 class _Line:
     """One exposure being solved: its answers, and what is known of robots and places after it."""
 
-    def __init__(self, joint: Joint, sight: Sight, foresight: Foresight) -> None:
+    def __init__(self, joint: Joint, sight: Sight, foresight: Foresight, claims: Mapping[str, Claim | Lost]) -> None:
         self.sight, self.foresight = sight, foresight
+        self.surprised = False
         self.answers: dict[str, FusedPose] = {}
         self.known: dict[str, Known] = dict(joint.known)
-        self.places: Places = joint.places.later(sight.names, sight.exposed_ns)
+        self.places: Places = joint.places
         self._rests: dict[str, tuple[FusedPose, Solution | None]] = {}
         self.spots: dict[str, Spots] = {}
+        self._solve({robot: claim for robot, claim in claims.items() if isinstance(claim, Claim)})
 
-    def solve(self, claims: Mapping[str, Claim]) -> None:
+    def _solve(self, claims: Mapping[str, Claim]) -> None:
         """Answer for all robots that have spots."""
         alone: list[tuple[Claim, Wanted]] = []
         shared: list[tuple[Claim, Wanted]] = []
@@ -97,6 +105,8 @@ class _Line:
         passed = passed_through(wanted, self.sight, self.foresight, self._evidence(known))
         if passed is not None:
             told, evidence = passed
+            foreseen = self.foresight(wanted.robot, self.sight.exposed_ns)
+            self.surprised |= foreseen is not None and _is_elsewhere(told, foreseen)
             self._tell(wanted.robot, self._with_misplaced(told, claim, None), None, evidence)
 
     def _join(self, wanted: Wanted, claim: Claim, found: Solution | None) -> None:
@@ -106,12 +116,14 @@ class _Line:
             known = self.known[wanted.robot] = looked_at(replace(wanted, start=start), self.sight, known)
             wanted = replace(wanted, misfit_m=known.misfit_m)
             (found,) = solutions([wanted], self.sight)
-        others = [replace(wanted, start=start) for start in unlike_starts(claim.starts)[1:]]
+        starts = claim.starts if found is None else [one for one in claim.starts if are_unlike(one, found.pose)]
+        others = [replace(wanted, start=start) for start in unlike_starts(starts)]
         tried = [found, *solutions(others, self.sight)]
         best = likelier(tried, self._leaning(tried, known))
         if best is None:
             return
         told, rests = sorted_out(best, self.sight, _scale(known), self.foresight)
+        self.surprised |= bool(told.left_out) or rests is None or is_surprising(rests.cost, rests.freedom)
         self._tell(wanted.robot, self._with_misplaced(told, claim, rests), rests, best.evidence)
 
     def _leaning(self, tried: Sequence[Solution | None], known: Known) -> list[float]:
@@ -159,15 +171,14 @@ class _Line:
             for robot, (told, _) in self._rests.items()
             if len(claims[robot].spots) > 1
         ]
-        if len(self.sight.names) < 3 or not wanted:
+        if len(self.sight.names) < 3 or not wanted or abs(self.sight.exposed_ns - self.places.at_ns) < COMPARED_NS:
             return
+        places = self.places.later(self.sight.names, self.sight.exposed_ns)
         bundle, motion, poses = self.sight.bundle(wanted)
-        normal, right = self.places.normal.copy(), self.places.right.copy()
+        normal, right = places.normal.copy(), places.right.copy()
         eyes, bodies = self.sight.eyes, self.sight.bodies
         count, stays = add_ties(eyes, bodies, bundle, motion, poses, normal, right)
-        places = replace(
-            self.places, normal=normal, right=right, ties=self.places.ties + count, stays=self.places.stays + stays
-        )
+        places = replace(places, normal=normal, right=right, ties=places.ties + count, stays=places.stays + stays)
         self.places = judged(places, eyes.places, len(wanted))
 
     def followed(self, joint: Joint, films: Mapping[str, Film]) -> Courses:
@@ -183,6 +194,13 @@ class _Line:
             pairs, motion = pairs_of(robots, {name: some[0] for name, some in joint.films.items()}, films, self.sight)
             follow(courses, look, self.sight.exposed_ns, self.sight.eyes, self.sight.bodies, pairs, motion)
         return courses
+
+
+def _is_elsewhere(told: FusedPose, foreseen: Foreseen) -> bool:
+    """Whether a robot is nowhere near where it should be."""
+    off = told.pose.position - foreseen.pose.position
+    variance = float(np.trace(told.covariance[:3, :3]) + np.trace(foreseen.covariance[:3, :3]))
+    return float(off @ off) > ELSEWHERE_M**2 + ELSEWHERE**2 * variance
 
 
 def _longer(before: Mapping[str, tuple[Film, ...]], now: Mapping[str, Film]) -> dict[str, tuple[Film, ...]]:

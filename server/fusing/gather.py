@@ -57,26 +57,19 @@ class Sight:
 
     def bundle(self, wanted: Sequence[Wanted]) -> tuple[Bundle, Motion, Poses]:
         """The rays of robots, how they move, and poses with their starts in them."""
-        which, cameras, leds, counts = [], [], [], [0]
-        for one in wanted:
-            count = 0
-            for camera, spots in one.spots.items():
-                first, number = self.first[camera], self.number[camera]
-                for led, spot in enumerate(spots.tolist()):
-                    if spot >= 0:
-                        which.append(first + spot)
-                        cameras.append(number)
-                        leds.append(led)
-                        count += 1
-            counts.append(counts[-1] + count)
-        rows = np.array(which, np.int64)
+        spots = np.array([of for one in wanted for of in one.spots.values()])
+        firsts = np.array([self.first[camera] for one in wanted for camera in one.spots])
+        numbers = np.array([self.number[camera] for one in wanted for camera in one.spots], np.int64)
+        group, leds = np.nonzero(spots >= 0)
+        rows = spots[group, leds] + firsts[group]
+        owner = np.repeat(np.arange(len(wanted)), [len(one.spots) for one in wanted])[group]
         robots = np.array([self.robots[one.robot] for one in wanted], np.int64)
         bundle = Bundle(
-            np.array(counts, np.int64),
+            np.searchsorted(owner, np.arange(len(wanted) + 1)),
             self.rays[rows],
             self.covariances[rows],
-            np.array(cameras, np.int64),
-            np.array(leds, np.int64),
+            numbers[group],
+            leds,
             self.times[rows],
             robots,
             np.array([one.misfit_m for one in wanted]),

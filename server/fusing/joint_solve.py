@@ -32,7 +32,8 @@ from asterism.server.pose.spot_shift import AXIS, DOUBT, DOUBTS, along_axis, has
 
 STEPS = 12
 STILL = 1e-9  # m and rad: a step that is none
-FAR = 1e-3  # m and rad: from there on rays share other errors than where the start was
+NEAR = 1e-6  # m and rad: a step after which the next one would be none
+FAR = 5e-3  # m and rad: from there on rays share other errors than where the start was
 AGAIN = 4  # times that the covariance is made anew at most
 
 
@@ -466,7 +467,7 @@ def _fit(k, rotation, t, eyes, bodies, bundle, motion, work, covariance):
         _fill_white(work, size // 2, True)
         whiten(work.factor, work.white[:size], size, 7)
         cost = _normal(work, size, normal, right)
-        accepted, step = False, 0.0
+        accepted, step, trial_cost = False, 0.0, cost
         for _ in range(8):
             _damped(normal, right, damping, covariance, move)
             exp_into(move[3], move[4], move[5], turn)
@@ -476,24 +477,25 @@ def _fit(k, rotation, t, eyes, bodies, bundle, motion, work, covariance):
                 trial_t[i] = t[i] + move[i]
                 step = max(step, abs(move[i]), abs(move[3 + i]))
             in_front = linearize(k, trial, trial_t, eyes, bodies, bundle, motion, work, False)
-            if step < STILL or (in_front and _cost(work, size) <= cost * (1.0 + 1e-12)):
-                accepted = in_front
-                break
+            if in_front:
+                trial_cost = _cost(work, size)
+                if step < STILL or trial_cost <= cost * (1.0 + 1e-12):
+                    accepted = True
+                    break
             damping = max(10.0 * damping, 1e-3)
-        if accepted:
-            rotation[:, :] = trial
-            for i in range(3):
-                t[i] = trial_t[i]
-            gone += step
-            damping *= 0.1
-            if damping < 1e-6:
-                damping = 0.0
-        linearize(k, rotation, t, eyes, bodies, bundle, motion, work, True)
-        if not accepted or step < 1e-7:
+        if not accepted:
+            linearize(k, rotation, t, eyes, bodies, bundle, motion, work, False)
             break
-    _fill_white(work, size // 2, True)
-    whiten(work.factor, work.white[:size], size, 7)
-    cost = _normal(work, size, normal, right)
+        rotation[:, :] = trial
+        for i in range(3):
+            t[i] = trial_t[i]
+        gone += step
+        cost = trial_cost
+        damping = 0.1 * damping if damping > 1e-5 else 0.0
+        if step < NEAR:
+            # What the derivatives change by on so short a way is nothing.
+            break
+        linearize(k, rotation, t, eyes, bodies, bundle, motion, work, True)
     invert(normal, covariance)
     logdet = 0.0
     for i in range(size):

@@ -3,8 +3,8 @@
 Every camera's rays are fitted by themselves, so that cameras which contradict each other say nothing of LEDs. Of every
 sigma that there may be, the rays' likelihood with the pose taken out (restricted maximum likelihood: chi squared and
 the logarithms of both determinants, `joint_solve.Poses`) tells how likely it is; the mean of the variance over all of
-them is taken. Errors of LEDs are the same in every frame and for every camera: many say hardly more of their size than
-one, so the mean of their likelihoods' logarithms is taken, not the sum.
+them is taken, weighted by the size as well, as in `pose.systematic`. Errors of LEDs are the same in every frame and for
+every camera: many say hardly more of their size than one, so their likelihoods' logarithms are averaged, not summed.
 """
 
 import math
@@ -58,7 +58,9 @@ def looked_at(wanted: Wanted, sight: Sight, known: Known) -> Known:
     told = learned(wanted.robot, list(sight.sightings.values()))
     logs = _prior(told) - 0.5 * costs.mean(axis=0)
     likely = np.exp(logs - logs.max())
-    variance = float(likely @ TRIED_M**2 / likely.sum())
+    sizes = likely * TRIED_M  # none counts as none
+    share = float(likely[1:].sum() / likely.sum())
+    variance = share * float(sizes @ TRIED_M**2) / max(float(sizes.sum()), 1e-300)
     gain = GAIN if known.misfit_ns else 1.0
     mixed = (1.0 - gain) * known.misfit_m**2 + gain * variance
     return replace(known, misfit_m=math.sqrt(mixed), misfit_ns=sight.exposed_ns)

@@ -70,9 +70,8 @@ def _by_its_rays(wanted: Wanted, sight: Sight) -> tuple[FusedPose, float] | None
     (found,) = solutions([wanted], sight)
     if found is None:
         return None
-    off_px = found.residuals * sight.focal_px[found.cameras, None]
-    rms_px = math.sqrt(float(np.mean(np.sum(off_px**2, axis=1))))
-    return FusedPose(found.pose, found.covariance, tuple(wanted.spots), len(found.leds), rms_px), found.evidence
+    told = FusedPose(found.pose, found.covariance, tuple(wanted.spots), len(found.leds), found.rms_px)
+    return told, found.evidence
 
 
 def carried(place_covariance: Floats, arm: Floats) -> Floats:

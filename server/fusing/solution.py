@@ -24,10 +24,12 @@ UNLIKE = math.cos(math.radians(2.5))  # half of an angle from which on two poses
 class Solution:
     """A robot's pose T_world_robot by its `Wanted`: ``covariance`` (6, 6) as of a `FusedPose`, the part of it that is
     ``noise`` (6, 6); chi squared of the residuals, ``cost``; ``residuals`` (n, 2), rays, of the ``cameras`` (n,) by
-    their numbers and the ``leds`` (n,). ``evidence`` for it over the ``alternative``, nats.
+    their numbers and the ``leds`` (n,), with the root mean square ``rms_px``. ``evidence`` for it over the
+    ``alternative``, nats.
     """
 
     wanted: Wanted
+    rms_px: float
     pose: Pose
     covariance: Floats
     noise: Floats
@@ -50,15 +52,20 @@ def solutions(wanted: Sequence[Wanted], sight: Sight) -> list[Solution | None]:
         return []
     bundle, motion, poses = sight.bundle(wanted)
     solve_joint(sight.eyes, sight.bodies, bundle, motion, poses)
-    return [_solution(k, one, bundle, poses) for k, one in enumerate(wanted)]
+    off_px = poses.residuals * sight.focal_px[bundle.cameras, None]
+    squares = np.concatenate([[0.0], np.cumsum(np.sum(off_px * off_px, axis=1))])[bundle.first]
+    rms_px = np.sqrt(np.diff(squares) / np.diff(bundle.first)).tolist()
+    costs, first = poses.costs.tolist(), bundle.first.tolist()
+    return [
+        _solution(k, one, rms_px[k], slice(first[k], first[k + 1]), bundle, poses) if costs[k] < NO_SOLUTION else None
+        for k, one in enumerate(wanted)
+    ]
 
 
-def _solution(k: int, wanted: Wanted, bundle: Bundle, poses: Poses) -> Solution | None:
-    if not poses.costs[k] < NO_SOLUTION:
-        return None
-    rows = slice(bundle.first[k], bundle.first[k + 1])
+def _solution(k: int, wanted: Wanted, rms_px: float, rows: slice, bundle: Bundle, poses: Poses) -> Solution:
     return Solution(
         wanted,
+        rms_px,
         Pose.from_matrix(poses.rotations[k], poses.ts[k]),
         poses.covariances[k],
         poses.noise[k],
@@ -82,8 +89,8 @@ def are_unlike(one: Pose, other: Pose) -> bool:
 
 def unlike_starts(starts: Sequence[Pose]) -> list[Pose]:
     """The starts without those that are turned as one before them."""
-    kept = [starts[0]]
-    for start in starts[1:]:
+    kept: list[Pose] = []
+    for start in starts:
         if all(are_unlike(start, other) for other in kept):
             kept.append(start)
     return kept
@@ -106,15 +113,14 @@ def likelier(found: Sequence[Solution | None], leaning: Sequence[float]) -> Solu
     return best
 
 
-def told(found: Solution, sight: Sight, scale: float, left_out: dict[str, str]) -> FusedPose:
+def told(found: Solution, scale: float, left_out: dict[str, str]) -> FusedPose:
     """A solution as fusing tells it: its covariance times ``scale``."""
-    off_px = found.residuals * sight.focal_px[found.cameras, None]
     return FusedPose(
         found.pose,
         scale * found.covariance,
         tuple(sorted(found.wanted.spots)),
         len(set(found.leds.tolist())),
-        math.sqrt(float(np.mean(np.sum(off_px**2, axis=1)))),
+        found.rms_px,
         found.alternative,
         left_out,
     )
