@@ -15,13 +15,13 @@ from asterism.server.centres.blobs import Ints
 from asterism.server.compiled import compiled
 from asterism.server.fusing.look import Body, fit, noise_of
 from asterism.server.fusing.near_spots import GATE, gate_of, spread_in
+from asterism.server.fusing.sightline import agreeing, nearest_depth, supports_along
 from asterism.server.fusing.three_points import three_points
 from asterism.server.pose.fit import LEDS
 from asterism.server.pose.planar import NO_SOLUTION
 
 LEAST = 6  # LEDs seen, in all cameras together, that make a robot
 MOST_TRIPLES = 2048
-AROUND = 0.75  # of a constellation's extent: how far from its middle its LEDs are at most
 NEAR = 0.12  # of it: how far off another camera's spot may be while the pose of three is rough
 
 
@@ -106,77 +106,6 @@ def _within(directions, i, j, reach):
     for axis in range(3):
         away2 += (directions[i, axis] - directions[j, axis]) ** 2
     return away2 < reach * reach
-
-
-@compiled
-def _world(scene, c, direction, out):
-    """Fill ``out`` (3,): a direction of camera c in the world."""
-    for i in range(3):
-        out[i] = 0.0
-        for j in range(3):
-            out[i] += scene.turns[c, j, i] * direction[j]
-
-
-@compiled
-def _supports(scene, free, directions, home, middle, extent, limits, depths, slack, near):
-    """Where other cameras' spots pass the line of sight ``middle`` (3,) of camera ``home``: fills their ``depths``
-    along it and by how much a robot's own may be another, ``slack``, m, and adds them to ``near`` (k, 2), camera and
-    row; returns how many there are.
-    """
-    line, other = np.empty(3), np.empty(3)
-    _world(scene, home, middle, line)
-    count = 0
-    for c in range(scene.turns.shape[0]):
-        if c == home:
-            continue
-        wx = scene.origins[home, 0] - scene.origins[c, 0]
-        wy = scene.origins[home, 1] - scene.origins[c, 1]
-        wz = scene.origins[home, 2] - scene.origins[c, 2]
-        for spot in range(scene.first[c], scene.first[c + 1]):
-            if not free[spot]:
-                continue
-            _world(scene, c, directions[spot], other)
-            b = line[0] * other[0] + line[1] * other[1] + line[2] * other[2]
-            d = line[0] * wx + line[1] * wy + line[2] * wz
-            e = other[0] * wx + other[1] * wy + other[2] * wz
-            sine2 = 1.0 - b * b
-            if sine2 < 1e-4:
-                continue
-            depth, there = (b * e - d) / sine2, (e - b * d) / sine2
-            if not (depth > 0.0 and there > 0.0):
-                continue
-            gap2 = 0.0
-            for i in range(3):
-                w = wx if i == 0 else (wy if i == 1 else wz)
-                gap2 += (w + depth * line[i] - there * other[i]) ** 2
-            wide = AROUND * extent
-            if gap2 < wide * wide and limits.near[home] - extent < depth < limits.far[home] + extent:
-                depths[count], slack[count] = depth, wide / math.sqrt(sine2)
-                near[count, 0], near[count, 1] = c, spot
-                count += 1
-    return count
-
-
-@compiled
-def _agreeing(depths, slack, count, depth):
-    """How many of the other cameras' spots may belong to a robot at that distance."""
-    agreeing = 0
-    for k in range(count):
-        if abs(depths[k] - depth) < slack[k]:
-            agreeing += 1
-    return agreeing
-
-
-@compiled
-def _nearest(depths, slack, count, needed):
-    """The least distance at which enough of the other cameras' spots may belong to a robot; inf if there is none."""
-    nearest = np.inf
-    for k in range(count):
-        for end in (-0.999, 0.999):
-            depth = depths[k] + end * slack[k]
-            if depth < nearest and _agreeing(depths, slack, count, depth) >= needed:
-                nearest = depth
-    return nearest
 
 
 @compiled
@@ -308,12 +237,12 @@ def guess(scene, sought, course, free, limits, state, prior, room, guesses):
         per = 1.0 / math.sqrt(middle[0] ** 2 + middle[1] ** 2 + middle[2] ** 2)
         for axis in range(3):
             middle[axis] *= per
-        supports = _supports(scene, free, directions, home, middle, largest, limits, depths, slack, near)
+        supports = supports_along(scene, free, directions, home, middle, largest, limits, depths, slack, near)
         every = _at_home(scene, free, directions, triple, reach[home], near, supports)
         needed = max(LEAST - min(every - supports, LEDS), 1)
         if supports < needed:
             continue
-        nearest = max(_nearest(depths, slack, supports, needed), limits.near[home])
+        nearest = max(nearest_depth(depths, slack, supports, needed), limits.near[home])
         if not nearest < limits.far[home]:
             continue
         for robot in range(sought.extents.shape[0]):
@@ -377,7 +306,7 @@ def _try_robot(
                     facing = (
                         rotations[which, 0, 2] * t[0] + rotations[which, 1, 2] * t[1] + rotations[which, 2, 2] * t[2]
                     )
-                    if not facing < -0.25 * away or _agreeing(depths, slack, supports, away) < needed:
+                    if not facing < -0.25 * away or agreeing(depths, slack, supports, away) < needed:
                         continue
                     if _seen_roughly(scene, home, layout, extent, rotations[which], t, near) < LEAST:
                         continue
