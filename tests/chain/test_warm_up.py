@@ -242,9 +242,8 @@ def test_what_the_processes_leave_undone_is_done_here(terminal: io.StringIO, mon
     assert "3 of 3 kernels" in terminal.getvalue()
 
 
-NEEDY = ["demo", "doctor", "serve", "locate", "batch", "replay", "simulate", "check", "design", "report"] + [
-    f"calibrate_{kind}" for kind in ("camera", "world", "leds", "offset", "point", "z")
-]
+NEEDY = ["demo", "doctor", "serve", "fuse_live", "fuse_recordings", "locate", "batch", "replay", "simulate", "check"]
+NEEDY += ["design", "report", *(f"calibrate_{kind}" for kind in ("camera", "world", "leds", "offset", "point", "z"))]
 
 
 @pytest.mark.parametrize("command", NEEDY)
@@ -256,7 +255,7 @@ def test_every_command_that_needs_kernels_warms_up(command: str) -> None:
 
 # example writes a camera.yaml as calibrations do; the others do what the needy ones work with.
 PARTS = ["example", "cameras", "exported_smooth", "fitted_rig", "foreign_camera", "joined", "outlets", "simulated_film"]
-PARTS += ["example_cameras", "placed_rigs", "recorded_film", "batch_films", "batch_progress", "__init__"]
+PARTS += ["example_cameras", "placed_rigs", "recorded_film", "batch_films", "batch_progress", "fused_line", "__init__"]
 
 
 def test_other_commands_stay_light() -> None:

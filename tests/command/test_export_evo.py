@@ -10,7 +10,7 @@ from asterism.server.__main__ import main
 from asterism.server.budget.budget import Light
 from asterism.server.budget.truth import bins_of
 from asterism.server.budget.uncertainty import read_uncertainty
-from asterism.server.command.report import _compare
+from asterism.server.command.report import _compare, _observe
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.sources.open_source import open_source
 
@@ -54,7 +54,8 @@ def _rmse_of_report(film: Path) -> float:
     rig = load_rig(path)
     source = open_source(str(film / "frames"), rig, lambda _: None)
     uncertainty = read_uncertainty(path, rig.centre, film / "camera.yaml")
-    compared, _ = _compare(rig, film / "truth.jsonl", source, uncertainty, Light.assumed(rig.centre))
+    seen = _observe(rig, film / "truth.jsonl", source)
+    compared, _ = _compare(rig, seen, uncertainty, Light.assumed(rig.centre))
     assert (compared.flips, compared.lost) == (0, 0), "which report leaves out, and evo does not"
     bins = bins_of(compared)
     counts = np.array([part.count for part in bins])

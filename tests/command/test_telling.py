@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from asterism.server.__main__ import main
-from asterism.server.command import check, design, locate, simulate
+from asterism.server.command import check, design, locate, simulated_film
 from asterism.server.command.progress import progress, working
 from asterism.server.service.say import complain, say
 from asterism.server.service.telling import LOGGER, shows_progress, telling
@@ -96,7 +96,7 @@ def test_ctrl_c_says_what_it_left_and_the_rerun_is_not_refused(
     film, poses = tmp_path / "film", tmp_path / "poses.jsonl"
     made, found = ("simulate", DEMO_RIG, film, "--frames", "3"), ("locate", film / "rig.yaml", film / "frames")
     with monkeypatch.context() as patch:
-        patch.setattr(simulate, "_truth_line", interrupted)
+        patch.setattr(simulated_film, "_told", interrupted)
         assert refused(capsys, *made, code=130) == "asterism: interrupted; nothing was written"
         assert not film.exists()
     assert main([str(word) for word in made]) == 0

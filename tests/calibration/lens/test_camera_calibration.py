@@ -306,7 +306,7 @@ def test_a_film_by_hand_calibrates_the_simulated_camera(tmp_path: Path, capsys: 
     report = read_yaml(tmp_path / "cam.report.yaml").section("sigmas")
     for index, name in enumerate(("fx", "fy", "cx", "cy")):
         assert abs(values(found)[index] - values(true)[index]) < 5.0 * report.number(name)
-    assert report.number("fx") < 4.0
+    assert report.number("fx") < 5.0
     assert found.name == "cam"
     assert {path.name for path in tmp_path.glob("cam.*")} == {
         "cam.yaml", "cam.report.yaml", "cam.coverage.png", "cam.residuals.png",
