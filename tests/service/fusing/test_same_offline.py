@@ -32,14 +32,10 @@ class Hall:
         self.told: list[pb.FrameReport] = []
         self.stop = Stop()
         self.joining = Joining(self, SessionClock(), self.stop, (), "here")  # type: ignore[arg-type]
-        tapes = tapes_of([recorded])
-        self._exposures = exposures_of(tapes)
-        for tape in tapes:
-            self.joining.hear(Heard(0, tape.camera, "alive", None, time.monotonic_ns()))
-            self._hear(tape.camera, pb.FrameReport(exposed_ns=1))  # by which its session is known
-            answer = Answer(SESSION, "a test", (tape.camera,), view_of(tape.parts[0].recording.rig(), tape.camera))
-            self.joining.hear(Answers(tape.camera, (answer,)))
-        self._next()
+        self._tapes = {tape.camera: tape for tape in tapes_of([recorded])}
+        self._exposures = exposures_of(list(self._tapes.values()))
+        for camera in self._tapes:
+            self.joining.hear(Heard(0, camera, "alive", None, time.monotonic_ns()))
 
     def put(self, message: Message) -> None:
         if message.kind is FRAME_REPORT:
@@ -52,8 +48,15 @@ class Hall:
     def show_visible(self, _: object) -> None:
         pass
 
-    def ask(self, *_: object) -> None:
-        pass
+    def ask(self, ear: int, camera: str, known: object) -> None:  # noqa: ARG002
+        tape = self._tapes.pop(camera, None)
+        if tape is None:
+            return
+        self._hear(camera, pb.FrameReport(exposed_ns=1))  # by which its session is known
+        answer = Answer(SESSION, "a test", (camera,), view_of(tape.parts[0].recording.rig(), camera))
+        self.joining.hear(Answers(camera, (answer,)))
+        if not self._tapes:
+            self._next()
 
     def _next(self) -> None:
         exposure = next(self._exposures, None)
