@@ -31,7 +31,8 @@ class Hall:
     def __init__(self, recorded: Path) -> None:
         self.told: list[pb.FrameReport] = []
         self.stop = Stop()
-        self.joining = Joining(self, SessionClock(), self.stop, (), "here")  # type: ignore[arg-type]
+        self._clock = SessionClock()
+        self.joining = Joining(self, self._clock, self.stop, (), "here")  # type: ignore[arg-type]
         self._tapes = {tape.camera: tape for tape in tapes_of([recorded])}
         self._exposures = exposures_of(list(self._tapes.values()))
         for camera in self._tapes:
@@ -68,7 +69,7 @@ class Hall:
 
     def _hear(self, camera: str, report: "pb.FrameReport") -> None:
         now_ns = time.monotonic_ns()
-        report.session, report.published_ns = SESSION, SessionClock().now_ns()
+        report.session, report.published_ns = SESSION, self._clock.at_ns(now_ns)
         self.joining.hear(Heard(0, camera, "frame", to_bytes(report), now_ns))
 
 
