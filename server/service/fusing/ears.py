@@ -111,8 +111,9 @@ class Ears:
         self._retrying.close()
         for subscriber in self._held:
             subscriber.undeclare()  # type: ignore[attr-defined]
+        until_s = time.monotonic() + ANSWER_S + 1.0
         for thread in self._asking:
-            thread.join(ANSWER_S + 1.0)
+            thread.join(max(until_s - time.monotonic(), 0.0))
         for session in self._own:
             session.close()
 
