@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.protocol.geometry import Floats, log_rotation
+from asterism.protocol.geometry import Floats, Pose, log_rotation
 from asterism.server.fusing.fused import FusedPose
 from asterism.server.fusing.gather import Sight, Wanted
 from asterism.server.fusing.joint_rays import residuals_at
@@ -97,12 +97,22 @@ def _rather_one(found: Solution, sight: Sight, before: Foresight, whole: Spots) 
     best = min(known, key=lambda camera: float(np.linalg.slogdet(known[camera].covariance)[1]))
     pose = known[best]
     other = next(camera for camera in alone if camera != best)
-    there = known[other].pose if other in known else found.pose
-    apart = np.concatenate([there.position - pose.pose.position, log_rotation(there.rotation @ pose.pose.rotation.T)])
     left_out = [camera for camera in whole if camera != best]
     (rest,) = solutions([replace(found.wanted, spots={best: found.wanted.spots[best]}, start=pose.pose)], sight)
     said = off_of(left_out, whole, rest or found, sight)
-    return replace(pose, covariance=pose.covariance + np.outer(apart, apart), left_out=said)
+    if other in known:
+        there, unsure = known[other].pose, known[other].covariance
+    else:
+        there, unsure = found.pose, found.covariance * found.cost / found.freedom
+    return replace(pose, covariance=pose.covariance + _in_between(pose.pose, there) + unsure, left_out=said)
+
+
+def _in_between(one: Pose, other: Pose) -> Floats:
+    """Covariance (6, 6) of a pose that may as well be the other. That one has to be added for itself: along what it
+    leaves open, how far they are apart is chance.
+    """
+    apart = np.concatenate([other.position - one.position, log_rotation(other.rotation @ one.rotation.T)])
+    return np.outer(apart, apart)
 
 
 def _alone(wanted: Wanted, camera: str, sight: Sight, before: Foresight) -> FusedPose | None:

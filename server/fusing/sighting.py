@@ -11,8 +11,10 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.messages import Fate
 from asterism.server.fusing.fleet import View
+from asterism.server.fusing.reported import refuse_impossible
 from asterism.server.pose.lens import undistort
 
+SHOWN = 40  # of names from the network, in sentences
 USABLE = (int(Fate.LED), int(Fate.UNEXPLAINED))
 
 
@@ -53,17 +55,15 @@ def sighting_of(report: "pb.FrameReport", view: View) -> Sighting:
     ids = [robot.id for robot in view.rig.robots]
     if [entry.id for entry in report.robots] != ids:
         raise InputError(
-            f"a frame report of camera {view.camera} tells of robots {', '.join(entry.id for entry in report.robots)}, "
+            f"a frame report of camera {view.camera} tells of robots {_named(report)}, "
             f"expected those of its rig: {', '.join(ids)}"
         )
+    refuse_impossible(report, view)
     spots = report.spots
-    columns = (spots.x, spots.y, spots.covariance_xx, spots.covariance_xy, spots.covariance_yy, spots.fate, spots.robot,
-               spots.led)  # fmt: skip
-    if len({len(column) for column in columns}) != 1:
-        raise InputError(f"a frame report of camera {view.camera} has columns of spots of unlike lengths")
+    columns = (spots.x, spots.y, spots.covariance_xx, spots.covariance_xy, spots.covariance_yy)
     fates = np.array(spots.fate, np.int64)
     kept = np.flatnonzero(np.isin(fates, USABLE))
-    numbers = [np.array(column, np.float64)[kept] for column in columns[:5]]
+    numbers = [np.array(column, np.float64)[kept] for column in columns]
     centres, covariances = np.column_stack(numbers[:2]), np.column_stack(numbers[2:])
     rays, ray_covariances = np.empty_like(centres), np.empty_like(covariances)
     undistort(view.lens, centres, covariances, rays, ray_covariances)
@@ -88,3 +88,8 @@ def sighting_of(report: "pb.FrameReport", view: View) -> Sighting:
         told={entry.id: entry for entry in report.robots},
         misfits_m=misfits,
     )
+
+
+def _named(report: "pb.FrameReport") -> str:
+    names = ", ".join(entry.id[:SHOWN] for entry in report.robots[:SHOWN])[: 5 * SHOWN]
+    return "".join(char if char.isprintable() else "?" for char in names)

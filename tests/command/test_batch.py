@@ -13,15 +13,18 @@ import cv2
 import numpy as np
 import pytest
 
+from asterism.protocol.errors import InputError
 from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.server import Frame, Tracks, localize
 from asterism.server.__main__ import main
 from asterism.server.chain.report import report
+from asterism.server.command.batch import run
 from asterism.server.command.batch_films import How, courses
+from asterism.server.command.parser import parser
 from asterism.server.command.report import _observe_batch
 from asterism.server.service.batch import cluster, cutting
-from asterism.server.service.batch.folder import Outcome, Result
+from asterism.server.service.batch.folder import HIDDEN, PLAN, Outcome, Result, held
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.simulation.simulate import Scene
 
@@ -238,3 +241,13 @@ def test_a_scheduler_that_does_not_answer_is_said(
     assert main(["batch", str(DEMO_RIG), source, "-o", str(tmp_path / "out"), "--dask", "tcp://127.0.0.1:9"]) == 1
     assert "no scheduler answers there" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_in_which_a_batch_is_at_work_is_not_set_aside(tmp_path: Path) -> None:
+    out, source = tmp_path / "out", images(tmp_path / "film", shot(1, 1))
+    with held(out):
+        (out / HIDDEN / PLAN).write_text("{}")
+        for words in ([], ["--force"]):
+            with pytest.raises(InputError, match="another batch is at work in it"):
+                run(parser().parse_args(["batch", str(DEMO_RIG), source, "-o", str(out), *words]))
+    assert not list(tmp_path.glob("out?*"))

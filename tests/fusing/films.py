@@ -5,11 +5,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from asterism.protocol.codec import set_report_pose
 from asterism.protocol.geometry import Floats, Pose, log_rotation
 from asterism.server.fusing.fleet import Fleet, View
+from asterism.server.fusing.follow import Courses
 from asterism.server.fusing.fuse import fuse
 from asterism.server.fusing.fused import Fused, FusedPose
+from asterism.server.fusing.gather import Sight, Wanted
 from asterism.server.fusing.memory import Joint
+from asterism.server.fusing.sighting import Sighting
+from asterism.server.fusing.solution import solutions
 from asterism.server.pose.place import moved
 from tests.fusing.drawn import Seen, sighting
 from tests.several import Drive, rigs_at
@@ -30,6 +35,7 @@ class Film:
     place_covariance: Floats = field(default_factory=lambda: np.zeros((6, 6)))
     shown: Mapping[str, range] = field(default_factory=dict)
     seed: int = 0
+    own: bool = False  # cameras' own poses are those of their spots
 
     def lines(self, frames: int, rng: np.random.Generator) -> Iterator[tuple[Fused, dict[str, Pose], Joint]]:
         """What fusing makes of it, and where robots truly are."""
@@ -45,12 +51,25 @@ class Film:
         for at_ns in sorted(times):
             true = drive(at_ns * 1e-9)
             seen = [sighting(view, true, at_ns, rng, self._seen(view)) for view in times[at_ns]]
+            if self.own:
+                for one in seen:
+                    tell_own(one, fleet, true)
             fused, joint = fuse(seen, fleet, joint)
             yield fused, true, joint
 
     def _seen(self, view: View) -> Seen:
         place = moved(view.T_world_camera, self.moved.get(view.camera, np.zeros(6)))
         return Seen(place, self.led_errors)
+
+
+def tell_own(seen: Sighting, fleet: Fleet, true: Mapping[str, Pose]) -> None:
+    """Let a camera tell of its robots what its own six spots of each say."""
+    sight = Sight(fleet, [seen], seen.exposed_ns, Courses.unknown(len(fleet.robots)))
+    for number, robot in enumerate(seen.told.values()):
+        (found,) = solutions([Wanted(robot.id, {seen.camera: 6 * number + np.arange(6)}, true[robot.id], 0.0)], sight)
+        assert found is not None
+        set_report_pose(robot.pose, found.pose)
+        robot.covariance[:] = found.covariance.ravel().tolist()
 
 
 def error_of(answer: object, truth: Pose) -> tuple[Floats, float]:

@@ -59,6 +59,20 @@ def test_of_two_that_contradict_each_other_the_covariance_says_by_how_much(rng: 
             assert error_of(answer, true[robot])[1] < 30.0
 
 
+def test_of_two_the_covariance_is_honest_whichever_is_wrong(rng: np.random.Generator) -> None:
+    nees = []
+    for seed in range(6):
+        for wrong in ("left", "right"):
+            off = 3.0 * OFF * rng.choice([-1.0, 1.0], 6)
+            film = Film(facing_pair(), moved={wrong: off}, seed=seed, own=True)
+            for fused, true, _ in film.lines(1, rng):
+                answers = [(robot, answer) for robot, answer in fused.answers.items() if len(answer.cameras) == 1]
+                nees += [error_of(answer, true[robot])[1] for robot, answer in answers]
+    assert len(nees) > 15
+    assert max(nees) < 30.0
+    assert np.mean(nees) < 8.0
+
+
 def test_leds_that_are_off_leave_no_camera_out_and_poses_honest(rng: np.random.Generator) -> None:
     nees = []
     for seed in range(12):

@@ -20,6 +20,7 @@ from asterism.recordings.export.lines import lines_of
 from asterism.server.calibration.survey.survey import read_survey
 from asterism.server.calibration.survey.survey_csv import read_survey_csv
 from asterism.server.sources.images import UnreadableImage, read_pages, to_grey8
+from tests.fusing import mutated_reports
 from tests.protocol import make_golden, mutated_clients, mutated_sources
 from tests.protocol.bounds import TooMuch, bounded
 from tests.protocol.message_mutations import mutated_message
@@ -188,6 +189,9 @@ TARGETS = {
     "event": Target(mutated_clients.event, (to_bytes(make_golden.event()),), mutated_message, 1000, 40),
     "beat": Target(mutated_clients.beat, (to_bytes(make_golden.beat()),), mutated_message, 1000, 40),
     "rig_report": Target(mutated_clients.rig_report, (to_bytes(make_golden.rig_report()),), mutated_message, 1000, 40),
+    "fused": Target(
+        mutated_reports.fused, mutated_reports.frames(mutated_reports.BEFORE)[:1], mutated_message, 150, 10
+    ),
     "png": Target(_in_a_file(_image, ".png"), _PNGS, mutated_png, 900, 80),
     "jpeg": Target(_in_a_file(_image, ".jpg"), _JPEGS, mutated_jpeg, 900, 70),
     "tiff": Target(_in_a_file(_image, ".tiff"), _TIFFS, mutated_tiff, 900, 80),

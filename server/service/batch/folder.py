@@ -107,6 +107,7 @@ def prepare(folder: Path, force: bool) -> str:
         raise InputError(text) from None
     told = ""
     if folder.is_dir() and any(folder.iterdir()):
+        _refuse_at_work(folder)
         kept = free_name(folder)
         folder.rename(kept)
         told = f"{folder}: the old one is kept as {kept}"
@@ -131,6 +132,12 @@ def held(folder: Path) -> Iterator[None]:
                 if made:
                     with contextlib.suppress(OSError):
                         folder.rmdir()
+
+
+def _refuse_at_work(folder: Path) -> None:
+    """Raises InputError where a batch is at work: set aside, it would write into what takes its place."""
+    with contextlib.suppress(OSError), (folder / HIDDEN / "lock").open("r+") as file:
+        _lock(file, folder)
 
 
 def _lock(file: TextIO, folder: Path) -> None:

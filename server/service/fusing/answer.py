@@ -1,5 +1,8 @@
 """What a camera's server answers when it is asked for its rig, read beside the loop: that takes a tenth of a second."""
 
+import threading
+from collections.abc import Mapping
+from functools import lru_cache
 from typing import NamedTuple
 
 from asterism.protocol import asterism_pb2 as pb
@@ -9,6 +12,9 @@ from asterism.protocol.rig import parse_rig
 from asterism.server.fusing.fitting import view_of
 from asterism.server.fusing.fleet import View
 
+MOST_TEXT = 256 << 10  # of a rig of a hundred robots it is a third; a YAML reader takes ten seconds for it
+MOST_READ = 64  # that are remembered
+_READING = threading.Lock()
 Texts = tuple[object, ...]  # of all files of a rig
 
 
@@ -30,13 +36,43 @@ def read_answer(told: "pb.RigReport", camera: str, known: Texts) -> Answer:
     answer = Answer(told.session, f"process {told.pid} on {told.host}", texts)
     if texts == known and told.protocol == PROTOCOL:
         return answer
+    if sum(map(len, (told.rig_yaml, told.camera_yaml, *told.offset_yaml.values(), *told.files.values()))) > MOST_TEXT:
+        return answer._replace(problem=f"its rig is longer than {MOST_TEXT} characters; expected that of a camera")
+    read = _read(
+        Told(told.protocol, told.rig_yaml, told.camera_yaml, *map(_rows, (told.offset_yaml, told.files))), camera
+    )
+    return answer._replace(problem=read) if isinstance(read, str) else answer._replace(view=read)
+
+
+class Told(NamedTuple):
+    """What a rig is read from: the same is not read twice, also where it cannot be gone by."""
+
+    protocol: int
+    rig_yaml: str
+    camera_yaml: str
+    offset_yaml: tuple[tuple[str, str], ...]
+    files: tuple[tuple[str, str], ...]
+
+
+def _rows(texts: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
+    return tuple(sorted(texts.items()))
+
+
+def _read(told: Told, camera: str) -> View | str:
+    """The view, or why there is none. One at a time: long ones would take the loop's processor from it."""
+    with _READING:
+        return _read_once(told, camera)
+
+
+@lru_cache(maxsize=MOST_READ)
+def _read_once(told: Told, camera: str) -> View | str:
     try:
-        return answer._replace(view=_view_of(told, camera))
+        return _view_of(told, camera)
     except InputError as error:
-        return answer._replace(problem=str(error))
+        return str(error)
 
 
-def _view_of(told: "pb.RigReport", camera: str) -> View:
+def _view_of(told: Told, camera: str) -> View:
     where = f"camera '{camera}'"
     if told.protocol != PROTOCOL:
         older = "here" if told.protocol > PROTOCOL else "there"
@@ -44,7 +80,7 @@ def _view_of(told: "pb.RigReport", camera: str) -> View:
             f"{where}: its server speaks protocol {max(told.protocol, 1)}, this program {PROTOCOL}, expected the same: "
             f"update asterism-localization {older}"
         )
-    view = view_of(parse_rig(told.rig_yaml, told.camera_yaml, where, told.offset_yaml, told.files), where)
+    view = view_of(parse_rig(told.rig_yaml, told.camera_yaml, where, dict(told.offset_yaml), dict(told.files)), where)
     if view.camera != camera:
         raise InputError(f"{where}: who answers for its rig has one of camera '{view.camera[:40]}'")
     return view

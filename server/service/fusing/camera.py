@@ -12,6 +12,7 @@ RIVAL_NS = 2 * SECOND_NS  # a second camera of the name is gone when it was not 
 ASK_AGAIN_NS = 10 * SECOND_NS  # also where nobody told of another rig
 SOON_NS = SECOND_NS // 2  # while one is waited for
 SILENT_NS = SECOND_NS
+LEAST_APART_NS = 200_000  # no camera has more than 5000 frames a second
 UNTOLD_NS = 3 * SECOND_NS  # without an answer for its rig that is said
 
 
@@ -36,7 +37,7 @@ class HeardCamera:
         self.problem = ""  # why it is not taken
         self.alive = True
         self.heard_ns = now_ns  # the newest report of its session
-        self._newest_ns = 0  # exposure
+        self._newest_ns = -LEAST_APART_NS  # exposure
         self._others: dict[int, _Other] = {}
         self._who = "a server"
         self._wanted_ns: int | None = now_ns  # since when its rig is waited for
@@ -48,7 +49,7 @@ class HeardCamera:
         if session != self.session and not self._changes_to(session, now_ns):
             return False
         self.heard_ns, self.alive = now_ns, True
-        if exposed_ns <= self._newest_ns:  # heard through another connection already
+        if exposed_ns < self._newest_ns + LEAST_APART_NS:  # heard through another connection already
             return False
         self._newest_ns = exposed_ns
         if self.view is None or (self._rig_from is None and self._wanted_ns is not None):
@@ -62,7 +63,7 @@ class HeardCamera:
             other.last_ns = now_ns
             if now_ns - self.heard_ns < QUIET_NS:
                 return False
-        self.session, self._newest_ns = session, 0
+        self.session, self._newest_ns = session, -LEAST_APART_NS
         self._others.clear()
         self.want(now_ns)
         return True

@@ -8,12 +8,14 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.keys import FUSED
 from asterism.server.fusing.fitting import refuse_unlike_robots
 from asterism.server.fusing.fleet import Fleet, View
+from asterism.server.fusing.reported import LATEST_NS
 from asterism.server.fusing.sighting import Sighting, sighting_of
 from asterism.server.service.fusing.answer import Answer
 from asterism.server.service.fusing.camera import HeardCamera
 
 MOST_CAMERAS = 64
 MOST_SAID = 200  # sentences, each once
+EARLY_NS = 1_000_000_000  # by which a camera's clock may be ahead of its host's
 
 
 class Cameras:
@@ -63,6 +65,7 @@ class Cameras:
         before = camera.session
         try:
             report = decode_frame_report(payload)
+            _refuse_future(report)
             takes = camera.takes(report.session, report.sequence, report.exposed_ns, now_ns)
             if camera.session != before:
                 self._changed(name)
@@ -146,3 +149,11 @@ class Cameras:
         if text not in self._said and len(self._said) < MOST_SAID:
             self._said.add(text)
             self._say("".join(char if char.isprintable() else "?" for char in text)[:600])
+
+
+def _refuse_future(report: "pb.FrameReport") -> None:
+    """By the camera's own clock nothing is told before it was exposed: such a time would make all others late."""
+    if report.exposed_ns > (report.published_ns or LATEST_NS) + EARLY_NS:
+        raise InputError(
+            f"its frames are exposed {(report.exposed_ns - report.published_ns) * 1e-9:.3g} s after they were published"
+        )

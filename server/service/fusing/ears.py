@@ -19,6 +19,9 @@ from asterism.server.service.threads import Ticker
 
 RETRY_S = 1.0  # of endpoints at which nothing answered at the start
 ANSWER_S = 2.0  # a server that does not tell its rig within that time is asked again
+MOST_BYTES = 1 << 20  # of a message: a frame report of thousands of spots, a rig of hundreds of robots
+TOO_MUCH = b"\xff"  # in place of a longer one: no message
+MOST_ANSWERS = 8  # of servers under one name
 
 
 class Heard(NamedTuple):
@@ -79,7 +82,8 @@ class Ears:
         def take(sample: zenoh.Sample) -> None:
             arrived_ns = time.monotonic_ns()
             _, camera, word = str(sample.key_expr).split("/")
-            self._take(Heard(ear, camera, word, sample.payload.to_bytes(), arrived_ns))
+            payload = sample.payload.to_bytes() if len(sample.payload) <= MOST_BYTES else TOO_MUCH
+            self._take(Heard(ear, camera, word, payload, arrived_ns))
 
         def show(sample: zenoh.Sample) -> None:
             _, camera, word = str(sample.key_expr).split("/")
@@ -93,8 +97,12 @@ class Ears:
 
     def ask(self, ear: int, camera: str, known: Texts) -> None:
         """Ask for a camera's rig, beside; the answers are handed on as all else. ``known`` is what need not be read."""
-        thread = threading.Thread(target=self._ask, args=(ear, camera, known), name=f"rig of {camera}", daemon=True)
-        self._asking = [one for one in self._asking if one.is_alive()] + [thread]
+        self._asking = [one for one in self._asking if one.is_alive()]
+        name = f"rig of {camera}"
+        if any(one.name == name for one in self._asking):  # what was answered is still being read
+            return
+        thread = threading.Thread(target=self._ask, args=(ear, camera, known), name=name, daemon=True)
+        self._asking.append(thread)
         thread.start()
 
     def close(self) -> None:
@@ -103,8 +111,9 @@ class Ears:
         self._retrying.close()
         for subscriber in self._held:
             subscriber.undeclare()  # type: ignore[attr-defined]
+        until_s = time.monotonic() + ANSWER_S + 1.0
         for thread in self._asking:
-            thread.join(ANSWER_S + 1.0)
+            thread.join(max(until_s - time.monotonic(), 0.0))
         for session in self._own:
             session.close()
 
@@ -123,13 +132,15 @@ class Ears:
                 self.hear(session)
 
     def _ask(self, ear: int, camera: str, known: Texts) -> None:
-        answers = []
+        answers: list[Answer] = []
         with contextlib.suppress(zenoh.ZError):
             replies = self._sessions[ear].get(
                 keys.rig(camera), timeout=ANSWER_S, consolidation=zenoh.ConsolidationMode.NONE
             )
             for reply in replies:
-                if reply.ok is not None:
+                if len(answers) >= MOST_ANSWERS:
+                    break
+                if reply.ok is not None and len(reply.ok.payload) <= MOST_BYTES:
                     with contextlib.suppress(InputError):
                         answers.append(read_answer(decode_rig(reply.ok.payload.to_bytes()), camera, known))
         if not self._closed.is_set():

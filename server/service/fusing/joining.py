@@ -1,7 +1,6 @@
 """The loop of `asterism fuse`: reports in the order of their exposures, joined, published."""
 
 import gc
-import queue
 import re
 import time
 from collections.abc import Mapping, Sequence
@@ -24,6 +23,7 @@ from asterism.server.service.fusing.cameras import Cameras
 from asterism.server.service.fusing.ears import Answers, Ears, Heard
 from asterism.server.service.fusing.health import FusedHealth
 from asterism.server.service.fusing.host_clocks import HostClocks, told_apart
+from asterism.server.service.fusing.inbox import Inbox
 from asterism.server.service.fusing.order import Order, Waiting
 from asterism.server.service.fusing.ways import Ways, told_of_times
 from asterism.server.service.live_line import Now
@@ -67,7 +67,7 @@ class Joining:
         self._clock = clock
         self._stop = stop
         self._places = places
-        self._queue: queue.SimpleQueue[Heard | Answers] = queue.SimpleQueue()
+        self._inbox = Inbox()
         self._order: Order[_Report] = Order()
         self._joint = Joint.none()
         self._clocks = HostClocks()
@@ -85,7 +85,7 @@ class Joining:
     def hear(self, heard: Heard | Answers) -> None:
         """Something came; from any thread. Frames before `run` are not waited with."""
         if self._running or not (isinstance(heard, Heard) and heard.word == "frame"):
-            self._queue.put(heard)
+            self._inbox.put(heard)
 
     def run(self, ears: Ears) -> None:
         """Join and publish until ``stop`` is set."""
@@ -117,7 +117,8 @@ class Joining:
     def summary(self) -> list[str]:
         """What it did: a line for the exposures, one for every camera that was late or lost, one for every robot."""
         health, told = self.health, "stopped after " if self._stop.interrupted else ""
-        lines = [f"{told}{health.exposures} exposures, {health.late} reports late, {health.behind} passed over"]
+        passed = health.behind + self._inbox.lost
+        lines = [f"{told}{health.exposures} exposures, {health.late} reports late, {passed} passed over"]
         for name in sorted(self._order.late.keys() | self._order.missed.keys()):
             late, missed = self._order.late[name], self._order.missed[name]
             lines.append(f"camera '{name}': {late} reports late, {missed} times waited for in vain")
@@ -126,12 +127,8 @@ class Joining:
     def _hear_all(self, until_ns: int | None) -> None:
         """Wait for what comes, up to then, and take all that has come."""
         wait_s = LOOK_EVERY_S if until_ns is None else min((until_ns - time.monotonic_ns()) * 1e-9, LOOK_EVERY_S)
-        try:
-            self._take(self._queue.get(timeout=max(wait_s, 0.0)))
-            while True:
-                self._take(self._queue.get_nowait())
-        except queue.Empty:
-            pass
+        for heard in self._inbox.taken(wait_s):
+            self._take(heard)
 
     def _take(self, heard: Heard | Answers) -> None:
         if isinstance(heard, Answers):

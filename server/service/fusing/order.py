@@ -31,7 +31,7 @@ class Order(Generic[T]):
         self.absent: set[str] = set()  # not waited for
         self._paces: dict[str, Pace] = {}
         self._pending: dict[str, deque[Waiting[T]]] = {}
-        self._passed_ns = 0  # the newest exposure that was handed out
+        self._passed: dict[str, int] = {}  # the newest exposures that were handed out, by camera
 
     def add(self, camera: str, waiting: Waiting[T]) -> bool:
         """A report came; returns whether it is still of use: it is not where a later exposure is through."""
@@ -41,7 +41,7 @@ class Order(Generic[T]):
             return False
         pace.add(exposed_ns, waiting.arrived_ns)
         self.absent.discard(camera)
-        if exposed_ns <= self._passed_ns:
+        if exposed_ns <= max(self._passed.values(), default=0):
             self.late[camera] += 1
             return False
         self._pending.setdefault(camera, deque()).append(waiting)
@@ -51,11 +51,12 @@ class Order(Generic[T]):
         """It has left, or begins anew: its times tell nothing of what comes."""
         self._paces.pop(camera, None)
         self._pending.pop(camera, None)
+        self._passed.pop(camera, None)
         self.absent.discard(camera)
 
     def begin_anew(self) -> None:
         """Forget all times, as where stamps were gone by that were wrong; what was counted stays."""
-        self._paces, self._pending, self._passed_ns, self.absent = {}, {}, 0, set()
+        self._paces, self._pending, self._passed, self.absent = {}, {}, {}, set()
 
     def pace(self, camera: str) -> Pace | None:
         """How that camera's reports come."""
@@ -98,9 +99,6 @@ class Order(Generic[T]):
 
     def _taken(self, exposed_ns: int) -> list[Waiting[T]]:
         """All reports of an exposure, which is through with that."""
-        self._passed_ns = exposed_ns
-        return [
-            self._pending[camera].popleft()
-            for camera in sorted(self._pending)
-            if self._pending[camera] and self._pending[camera][0].exposed_ns == exposed_ns
-        ]
+        cameras = [name for name, some in sorted(self._pending.items()) if some and some[0].exposed_ns == exposed_ns]
+        self._passed |= dict.fromkeys(cameras, exposed_ns)
+        return [self._pending[camera].popleft() for camera in cameras]

@@ -178,3 +178,25 @@ def test_what_is_no_report_is_said_once_and_passed_over() -> None:
     assert sum("no asterism.FrameReport" in line for line in told.said) == 1
     assert told.cameras.report("fused", 0, b"\xff\xff", told.now_ns) is None
     assert "fused" not in told.cameras.heard
+
+
+def test_a_frame_exposed_long_after_it_was_published_makes_no_other_late() -> None:
+    told = Told()
+    assert told.joins(LEFT, 5)
+    report = pb.FrameReport(session=5, exposed_ns=told.now_ns + 3600 * S, published_ns=told.now_ns)
+    assert told.cameras.report("left", 0, to_bytes(report), told.now_ns) is None
+    assert "exposed 3.6e+03 s after they were published" in told.said[-1]
+    assert told.report(LEFT, 5)
+
+
+def test_a_rig_is_read_once_and_none_that_is_endless(monkeypatch: pytest.MonkeyPatch) -> None:
+    first = answer(LEFT, 5)
+    assert first.view is not None
+    wrong = decode_rig(to_bytes(pb.RigReport(session=5, protocol=PROTOCOL, rig_yaml="- a", camera_yaml="x")))
+    refused = read_answer(wrong, "left", ())
+    assert refused.problem
+    monkeypatch.setattr("asterism.server.service.fusing.answer.parse_rig", None)
+    assert answer(LEFT, 6).view is first.view
+    assert read_answer(wrong, "left", ()).problem == refused.problem
+    wrong.rig_yaml = "- a\n" * 100_000
+    assert "its rig is longer than" in read_answer(wrong, "left", ()).problem

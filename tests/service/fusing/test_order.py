@@ -150,3 +150,13 @@ def test_whatever_the_others_do_a_camera_that_is_there_has_no_gap(rng: np.random
     assert len(out) == 600
     assert max(at - exposed - 5 * MS for exposed, at in out.items()) < PERIOD
     assert max(np.diff(list(out.values()))) < 2 * PERIOD
+
+
+def test_where_all_clocks_are_set_back_nothing_is_late() -> None:
+    order: Order[str] = Order()
+    list(joined(camera("left", 5 * MS) + camera("right", 5 * MS), order))
+    for name in ("left", "right"):  # their sessions begin anew
+        order.forget(name)
+    back = [(at + 10**10, name, exposed - 10**12) for at, name, exposed in camera("left", 5 * MS)]
+    assert len(list(joined(back, order))) == 200
+    assert not order.late["left"]

@@ -1,6 +1,5 @@
 """Fusing live and fusing recordings of the same reports is the same, to the bit."""
 
-import threading
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -32,11 +31,11 @@ class Hall:
     def __init__(self, recorded: Path) -> None:
         self.told: list[pb.FrameReport] = []
         self.stop = Stop()
-        self.joining = Joining(self, SessionClock(), self.stop, (), "here")  # type: ignore[arg-type]
-        tapes = tapes_of([recorded])
-        self._exposures = exposures_of(tapes)
-        self._views = {tape.camera: view_of(tape.parts[0].recording.rig(), tape.camera) for tape in tapes}
-        for camera in self._views:
+        self._clock = SessionClock()
+        self.joining = Joining(self, self._clock, self.stop, (), "here")  # type: ignore[arg-type]
+        self._tapes = {tape.camera: tape for tape in tapes_of([recorded])}
+        self._exposures = exposures_of(list(self._tapes.values()))
+        for camera in self._tapes:
             self.joining.hear(Heard(0, camera, "alive", None, time.monotonic_ns()))
 
     def put(self, message: Message) -> None:
@@ -50,14 +49,14 @@ class Hall:
     def show_visible(self, _: object) -> None:
         pass
 
-    def ask(self, _: int, camera: str, *__: object) -> None:
-        """Asked for a rig: after all have answered the exposures begin."""
-        view = self._views.pop(camera, None)
-        if view is None:
+    def ask(self, ear: int, camera: str, known: object) -> None:  # noqa: ARG002
+        tape = self._tapes.pop(camera, None)
+        if tape is None:
             return
         self._hear(camera, pb.FrameReport(exposed_ns=1))  # by which its session is known
-        self.joining.hear(Answers(camera, (Answer(SESSION, "a test", (camera,), view),)))
-        if not self._views:
+        answer = Answer(SESSION, "a test", (camera,), view_of(tape.parts[0].recording.rig(), camera))
+        self.joining.hear(Answers(camera, (answer,)))
+        if not self._tapes:
             self._next()
 
     def _next(self) -> None:
@@ -70,16 +69,13 @@ class Hall:
 
     def _hear(self, camera: str, report: "pb.FrameReport") -> None:
         now_ns = time.monotonic_ns()
-        report.session, report.published_ns = SESSION, SessionClock().now_ns()
+        report.session, report.published_ns = SESSION, self._clock.at_ns(now_ns)
         self.joining.hear(Heard(0, camera, "frame", to_bytes(report), now_ns))
 
 
 def test_live_and_from_recordings_is_the_same(recorded: Path, tmp_path: Path) -> None:
     hall = Hall(recorded)
-    given_up = threading.Timer(60.0, hall.stop.set)
-    given_up.start()
     hall.joining.run(hall)  # type: ignore[arg-type]
-    given_up.cancel()
     assert main(["fuse", str(recorded), "--record", str(tmp_path)]) == 0
     offline = list(reports(Recording(next(tmp_path.glob("fused-*")))))
     assert [report.exposed_ns for report in hall.told] == [report.exposed_ns for report in offline]
