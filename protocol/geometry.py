@@ -34,7 +34,7 @@ class Pose:
     orientation: Floats  # (4,) x y z w, unit, w >= 0
 
     def __post_init__(self) -> None:
-        x, y, z, w = map(float, self.orientation)
+        x, y, z, w = np.asarray(self.orientation, np.float64).tolist()
         norm = math.sqrt(x * x + y * y + z * z + w * w)
         assert norm > 0.0, "a quaternion of zero length is no rotation"
         scale = 1.0 / norm if w >= 0.0 else -1.0 / norm
@@ -76,7 +76,7 @@ class Pose:
 
 def matrix_from_quat(quat: Sequence[float] | Floats) -> Floats:
     """Rotation matrix (3, 3) of a unit quaternion x y z w."""
-    x, y, z, w = (float(v) for v in quat)
+    x, y, z, w = np.asarray(quat, np.float64).tolist()
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
