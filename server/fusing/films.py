@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
-from asterism.server.fusing.follow import ARM2, JERKS, UNKNOWN_RATES
-from asterism.server.fusing.gather import Sight
+from asterism.server.fusing.follow import JERKS, UNKNOWN_RATES
+from asterism.server.fusing.gather import PER_AXIS, Sight
 from asterism.server.fusing.joint_rays import Bundle, Motion
 from asterism.server.pose.fit import LEDS
 
@@ -52,7 +52,7 @@ def pairs_of(
     m = len(robots)
     motion = Motion(
         np.zeros(m), np.zeros((m, 12)), np.tile(UNKNOWN_RATES, (m, 1, 1)),
-        np.tile(JERKS[-1] * np.repeat([1.0, ARM2], 3), (m, 1)),
+        np.tile(JERKS[-1] * PER_AXIS, (m, 1)),
     )  # fmt: skip
     films = [film for name in names for film in (now[name], before[name])]
     if not films:

@@ -12,9 +12,12 @@ from asterism.server.fusing.fleet import Fleet
 from asterism.server.fusing.follow import ARM2, JERKS, UNKNOWN_RATES, Courses
 from asterism.server.fusing.joint_rays import Bodies, Bundle, Eyes, Motion, Poses
 from asterism.server.fusing.sighting import Sighting
+from asterism.server.pose.fit import LEDS
 from asterism.server.pose.lens import FX, FY
 from asterism.server.pose.spot_shift import OPTICS
 from asterism.server.pose.track import FORGET_NS
+
+PER_AXIS = np.repeat([1.0, ARM2], 3)  # of a position's density, that of every axis of a pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +59,7 @@ class Sight:
 
     def bundle(self, wanted: Sequence[Wanted]) -> tuple[Bundle, Motion, Poses]:
         """The rays of robots, how they move, and poses with their starts in them."""
-        spots = np.array([of for one in wanted for of in one.spots.values()])
+        spots = np.concatenate([of for one in wanted for of in one.spots.values()]).reshape(-1, LEDS)
         firsts = np.array([self.first[camera] for one in wanted for camera in one.spots])
         numbers = np.array([self.number[camera] for one in wanted for camera in one.spots], np.int64)
         group, leds = np.nonzero(spots >= 0)
@@ -132,6 +135,7 @@ def motion_of(courses: Courses, robots: NDArray[np.int64], exposed_ns: int) -> M
     gone = exposed_ns - seen_ns
     known = (seen_ns > 0) & (gone >= 0) & (gone <= FORGET_NS)
     rates, covariances = courses.states[robots], courses.covariances[robots]
-    densities = np.repeat((courses.weights[robots] @ JERKS)[:, None] * [1.0, ARM2], 3, axis=1)
-    rates[~known], covariances[~known], densities[~known] = 0.0, UNKNOWN_RATES, JERKS[-1] * np.repeat([1.0, ARM2], 3)
+    densities = (courses.weights[robots] @ JERKS)[:, None] * PER_AXIS
+    if not known.all():
+        rates[~known], covariances[~known], densities[~known] = 0.0, UNKNOWN_RATES, JERKS[-1] * PER_AXIS
     return Motion(np.where(known, gone * 1e-9, 0.0), rates, covariances, densities)

@@ -95,8 +95,8 @@ class Poses(NamedTuple):
 
 class Work(NamedTuple):
     """Scratch for a robot of n rays: their derivatives ``by_pose`` (n, 2, 6) by a move of the robot, ``by_place``
-    (n, 2, 6) by one of the camera, ``by_led`` (n, 2, 3); ``off`` (n, 2); the factor of their covariance (2 n, 2 n), and
-    ``white`` (2 n, 7), derivatives and residuals divided by it.
+    (n, 2, 6) by one of the camera, ``by_led`` (n, 2, 3); ``off`` (n, 2); the ``factor`` of their covariance (2 n, 2 n),
+    and ``white`` (7, 2 n), derivatives and residuals divided by it.
     """
 
     by_pose: Floats
@@ -112,7 +112,7 @@ def work_room(n):
     """Scratch for n rays."""
     return Work(
         np.empty((n, 2, 6)), np.empty((n, 2, 6)), np.empty((n, 2, 3)), np.empty((n, 2)), np.empty((2 * n, 2 * n)),
-        np.empty((2 * n, 7)),
+        np.empty((7, 2 * n)),
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from asterism.server.compiled import compiled
+from asterism.server.compiled import compiled, compiled_sums
 from asterism.server.fusing.joint_covariance import fill_covariance
 from asterism.server.fusing.joint_rays import linearize, work_room
 from asterism.server.pose.covariance import invert
@@ -31,75 +31,71 @@ AGAIN = 4  # times that the covariance is made anew at most
 
 @compiled
 def factorize(a, size):
-    """The lower triangle of the symmetric ``a`` becomes its Cholesky factor, with one over the diagonal; whether it
-    has one.
+    """The upper triangle of the symmetric ``a`` becomes its Cholesky factor, with one over the diagonal, the lower one
+    the same transposed; whether it has one. Innermost loops run along rows, which processors do several at a time.
     """
-    for j in range(size):
-        for i in range(j):
-            total = a[j, i]
-            for h in range(i):
-                total -= a[j, h] * a[i, h]
-            a[j, i] = total * a[i, i]
-        total = a[j, j]
-        for h in range(j):
-            total -= a[j, h] * a[j, h]
-        if not total > 0.0:
+    for h in range(size):
+        if not a[h, h] > 0.0:
             return False
-        a[j, j] = 1.0 / math.sqrt(total)
+        per = 1.0 / math.sqrt(a[h, h])
+        a[h, h] = per
+        for i in range(h + 1, size):
+            a[h, i] *= per
+        for j in range(h + 1, size):
+            share = a[h, j]
+            a[j, h] = share
+            for i in range(j, size):
+                a[j, i] -= share * a[h, i]
     return True
 
 
 @compiled
-def whiten(factor, white, size, columns):
-    """Divide the columns of ``white`` (size, columns) by the factor, in place."""
-    for i in range(size):
-        for h in range(i):
-            share = factor[i, h]
-            for c in range(columns):
-                white[i, c] -= share * white[h, c]
-        for c in range(columns):
-            white[i, c] *= factor[i, i]
+def whiten(factor, white, size):
+    """Divide the rows of ``white`` (columns, size) by the factor, in place."""
+    for h in range(size):
+        for c in range(white.shape[0]):
+            share = white[c, h] * factor[h, h]
+            white[c, h] = share
+            for i in range(h + 1, size):
+                white[c, i] -= factor[h, i] * share
 
 
 @compiled
 def _fill_white(work, n, derive):
-    """Residuals, and where ``derive`` the derivatives, whitened."""
+    """Residuals, and where ``derive`` the derivatives, before they are whitened."""
     for i in range(n):
         for a in range(2):
             if derive:
                 for j in range(6):
-                    work.white[2 * i + a, j] = work.by_pose[i, a, j]
-            work.white[2 * i + a, 6] = work.off[i, a]
+                    work.white[j, 2 * i + a] = work.by_pose[i, a, j]
+            work.white[6, 2 * i + a] = work.off[i, a]
+
+
+@compiled_sums
+def _product(one, other):
+    """Of two vectors."""
+    total = 0.0
+    for r in range(one.shape[0]):
+        total += one[r] * other[r]
+    return total
 
 
 @compiled
-def _normal(work, size, normal, right):
+def _normal(white, normal, right):
     """Fill the normal matrix (6, 6) and right side (6,); returns chi squared."""
-    cost = 0.0
     for i in range(6):
-        for j in range(7):
-            total = 0.0
-            for r in range(size):
-                total += work.white[r, i] * work.white[r, j]
-            if j < 6:
-                normal[i, j] = total
-            else:
-                right[i] = total
-    for r in range(size):
-        cost += work.white[r, 6] ** 2
-    return cost
+        for j in range(i + 1):
+            normal[i, j] = normal[j, i] = _product(white[i], white[j])
+        right[i] = _product(white[i], white[6])
+    return _product(white[6], white[6])
 
 
 @compiled
 def _cost(work, size):
     """Chi squared of the residuals, which are in ``off``."""
     _fill_white(work, size // 2, False)
-    column = work.white[:size, 6:]
-    whiten(work.factor, column, size, 1)
-    cost = 0.0
-    for r in range(size):
-        cost += column[r, 0] ** 2
-    return cost
+    whiten(work.factor, work.white[6:], size)
+    return _product(work.white[6], work.white[6])
 
 
 @compiled
@@ -123,19 +119,21 @@ def _noise(k, bundle, work, covariance, noise):
     """
     begin = bundle.first[k]
     size = 2 * (bundle.first[k + 1] - begin)
-    back, inner = work.white, np.zeros((6, 6))
+    back, inner, spread = work.white, np.empty((6, 6)), np.empty((6, size))
     for i in range(size - 1, -1, -1):
         for c in range(6):
-            back[i, c] *= work.factor[i, i]
+            share = back[c, i] * work.factor[i, i]
+            back[c, i] = share
             for h in range(i):
-                back[h, c] -= work.factor[i, h] * back[i, c]
+                back[c, h] -= work.factor[i, h] * share
     for r in range(size // 2):
         own = bundle.covariances[begin + r]
-        for i in range(6):
-            p, q = back[2 * r, i], back[2 * r + 1, i]
-            for j in range(6):
-                inner[i, j] += p * (own[0] * back[2 * r, j] + own[1] * back[2 * r + 1, j])
-                inner[i, j] += q * (own[1] * back[2 * r, j] + own[2] * back[2 * r + 1, j])
+        for c in range(6):
+            p, q = back[c, 2 * r], back[c, 2 * r + 1]
+            spread[c, 2 * r], spread[c, 2 * r + 1] = own[0] * p + own[1] * q, own[1] * p + own[2] * q
+    for i in range(6):
+        for j in range(i + 1):
+            inner[i, j] = inner[j, i] = _product(back[i], spread[j])
     half = np.empty((6, 6))
     for i in range(6):
         for j in range(6):
@@ -165,8 +163,8 @@ def _fit(k, rotation, t, eyes, bodies, bundle, motion, work, covariance):
     damping, cost = 0.0, NO_SOLUTION
     for _ in range(STEPS):
         _fill_white(work, size // 2, True)
-        whiten(work.factor, work.white[:size], size, 7)
-        cost = _normal(work, size, normal, right)
+        whiten(work.factor, work.white, size)
+        cost = _normal(work.white, normal, right)
         accepted, step, trial_cost = False, 0.0, cost
         for _ in range(8):
             _damped(normal, right, damping, covariance, move)

@@ -5,8 +5,6 @@ Most exposures are of this kind, and need no search. If a robot's rays then surp
 
 from collections.abc import Mapping, Sequence
 
-from asterism.protocol.codec import report_pose
-from asterism.protocol.geometry import Pose
 from asterism.server.fusing.claims import Claim
 from asterism.server.fusing.fleet import Fleet
 from asterism.server.fusing.memory import Foresight
@@ -17,26 +15,14 @@ def quick_claims(
     fleet: Fleet, sightings: Sequence[Sighting], foreseen: Foresight, exposed_ns: int
 ) -> Mapping[str, Claim] | None:
     """Every robot's spots as the cameras claim them; none where a spot, or a robot, needs a closer look."""
-    if not all(sighting.is_settled and _all_told(sighting) for sighting in sightings):
+    if not all(sighting.is_clear for sighting in sightings):
         return None
     claims = {}
     for robot in fleet.robots:
         known = foreseen(robot, exposed_ns)
-        by = [sighting for sighting in sightings if robot in sighting.spots]
-        if known is None or not by:
+        spots = {one.camera: one.spots[robot] for one in sightings if robot in one.spots}
+        if known is None or not spots:
             return None
-        others = [pose for sighting in by for pose in _other_tilt(sighting, robot)]
-        claims[robot] = Claim(robot, {one.camera: one.spots[robot] for one in by}, (known.pose, *others))
+        tilts = [pose for one in sightings for pose in one.tilts.get(robot, ())]
+        claims[robot] = Claim(robot, spots, (known.pose, *tilts))
     return claims
-
-
-def _all_told(sighting: Sighting) -> bool:
-    """Whether the camera tells where all robots are whose LEDs it found."""
-    return all(sighting.told[robot].HasField("pose") for robot in sighting.spots)
-
-
-def _other_tilt(sighting: Sighting, robot: str) -> list[Pose]:
-    told = sighting.told[robot]
-    if not told.HasField("alternative"):
-        return []
-    return [report_pose(told.pose), report_pose(told.alternative.pose)]

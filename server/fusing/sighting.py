@@ -30,7 +30,8 @@ class Sighting:
 
     By that, once for all exposures in which the frame counts: ``weighed`` (n, 3), the rays' covariances, none less than
     centres are known at best; ``row_times`` (n,) s after the exposure, by a rolling shutter; ``spots`` (6,) by the
-    robots that the camera found, rows, -1 for LEDs not seen; whether it ``is_settled``: no other spot may be an LED.
+    robots that the camera found, rows, -1 for LEDs not seen; ``tilts`` by those that it sees in two; and whether all
+    is settled, ``is_clear``: it tells where those robots are, and no other spot may be an LED.
     """
 
     view: View
@@ -50,7 +51,9 @@ class Sighting:
     weighed: Floats = field(init=False)
     row_times: Floats = field(init=False)
     spots: dict[str, NDArray[np.int64]] = field(init=False)
-    is_settled: bool = field(init=False)
+    tilts: dict[str, tuple[Pose, Pose]] = field(init=False)
+    is_clear: bool = field(init=False)
+    camera: str = field(init=False)
 
     def __post_init__(self) -> None:
         owned = self.robots >= 0
@@ -58,15 +61,17 @@ class Sighting:
         labels[self.robots[owned], self.leds[owned]] = np.flatnonzero(owned)
         seen = labels >= 0
         spots = {robot: labels[k] for k, robot in enumerate(self.told) if seen[k].any()}
+        is_clear = bool(owned.all() or seen.all()) and all(self.told[robot].HasField("pose") for robot in spots)
+        object.__setattr__(self, "camera", self.view.camera)
         object.__setattr__(self, "spots", spots)
-        object.__setattr__(self, "is_settled", bool(owned.all() or seen.all()))
+        object.__setattr__(
+            self,
+            "tilts",
+            {robot: _tilts(self.told[robot]) for robot in spots if self.told[robot].HasField("alternative")},
+        )
+        object.__setattr__(self, "is_clear", is_clear)
         object.__setattr__(self, "weighed", _weighed(self))
         object.__setattr__(self, "row_times", _row_times(self))
-
-    @property
-    def camera(self) -> str:
-        """The camera's name."""
-        return self.view.camera
 
 
 def sighting_of(report: "pb.FrameReport", view: View) -> Sighting:
@@ -127,3 +132,7 @@ def _row_times(sighting: Sighting) -> Floats:
         return np.zeros(len(sighting.rays))
     out: Floats = (sighting.centres_px[:, 1] - 0.5 * (rig.camera.height - 1)) * line_s
     return out
+
+
+def _tilts(told: "pb.RobotReport") -> tuple[Pose, Pose]:
+    return report_pose(told.pose), report_pose(told.alternative.pose)
