@@ -71,8 +71,7 @@ class Poses(NamedTuple):
     """Poses of m robots, T_world_robot: ``rotations`` (m, 3, 3) and ``ts`` (m, 3) m, starts first, then what is solved;
     ``costs`` (m,) are chi squared of all residuals, NO_SOLUTION where there is no pose, and ``logdets`` (m,) the
     logarithms of the determinants of the rays' covariance and of the pose's information; ``covariances`` (m, 6, 6) m
-    and rad about the world's axes, and the part of them that is ``noise`` of spots (m, 6, 6), new in every frame;
-    ``residuals`` (n, 2), rays, observed minus predicted.
+    and rad about the world's axes; ``residuals`` (n, 2), rays, observed minus predicted.
     """
 
     rotations: Floats
@@ -80,7 +79,6 @@ class Poses(NamedTuple):
     costs: Floats
     logdets: Floats
     covariances: Floats
-    noise: Floats
     residuals: Floats
 
     @staticmethod
@@ -88,8 +86,7 @@ class Poses(NamedTuple):
         """Room for so many."""
         m = robots
         return Poses(
-            np.empty((m, 3, 3)), np.empty((m, 3)), np.empty(m), np.empty(m), np.empty((m, 6, 6)), np.empty((m, 6, 6)),
-            np.empty((rays, 2)),
+            np.empty((m, 3, 3)), np.empty((m, 3)), np.empty(m), np.empty(m), np.empty((m, 6, 6)), np.empty((rays, 2))
         )  # fmt: skip
 
 

@@ -31,8 +31,8 @@ AGAIN = 4  # times that the covariance is made anew at most
 
 @compiled
 def factorize(a, size):
-    """The upper triangle of the symmetric ``a`` becomes its Cholesky factor, with one over the diagonal, the lower one
-    the same transposed; whether it has one. Innermost loops run along rows, which processors do several at a time.
+    """The upper triangle of the symmetric ``a`` becomes its Cholesky factor, with one over the diagonal; whether it has
+    one. Innermost loops run along rows, which processors do several at a time.
     """
     for h in range(size):
         if not a[h, h] > 0.0:
@@ -43,7 +43,6 @@ def factorize(a, size):
             a[h, i] *= per
         for j in range(h + 1, size):
             share = a[h, j]
-            a[j, h] = share
             for i in range(j, size):
                 a[j, i] -= share * a[h, i]
     return True
@@ -112,47 +111,9 @@ def _damped(normal, right, damping, inverse, move):
 
 
 @compiled
-def _noise(k, bundle, work, covariance, noise):
-    """Fill ``noise`` (6, 6): what of a pose's ``covariance`` is noise of spots.
-
-    A pose moves by C J' S^-1 e with errors e: with Z = S^-1 J, C Z' R Z C.
-    """
-    begin = bundle.first[k]
-    size = 2 * (bundle.first[k + 1] - begin)
-    back, inner, spread = work.white, np.empty((6, 6)), np.empty((6, size))
-    for i in range(size - 1, -1, -1):
-        for c in range(6):
-            share = back[c, i] * work.factor[i, i]
-            back[c, i] = share
-            for h in range(i):
-                back[c, h] -= work.factor[i, h] * share
-    for r in range(size // 2):
-        own = bundle.covariances[begin + r]
-        for c in range(6):
-            p, q = back[c, 2 * r], back[c, 2 * r + 1]
-            spread[c, 2 * r], spread[c, 2 * r + 1] = own[0] * p + own[1] * q, own[1] * p + own[2] * q
-    for i in range(6):
-        for j in range(i + 1):
-            inner[i, j] = inner[j, i] = _product(back[i], spread[j])
-    half = np.empty((6, 6))
-    for i in range(6):
-        for j in range(6):
-            half[i, j] = 0.0
-            for h in range(6):
-                half[i, j] += covariance[i, h] * inner[h, j]
-    for i in range(6):
-        for j in range(6):
-            noise[i, j] = 0.0
-            for h in range(6):
-                noise[i, j] += half[i, h] * covariance[h, j]
-
-
-@compiled
 def _fit(k, rotation, t, eyes, bodies, bundle, motion, work, covariance):
     """Refine a pose in place with the rays' covariance where it starts; returns chi squared, `Poses.logdets` and how
-    far it went.
-
-    Leaves the whitened derivatives of the last linearization in the ``work``, and fills the ``covariance``.
+    far it went, and fills the ``covariance``.
     """
     size = 2 * (bundle.first[k + 1] - bundle.first[k])
     normal, right, move, turn = np.empty((6, 6)), np.empty(6), np.empty(6), np.empty((3, 3))
@@ -209,7 +170,7 @@ def solve_one(k, eyes, bodies, bundle, motion, poses):
     begin, end = bundle.first[k], bundle.first[k + 1]
     rotation, t, covariance = poses.rotations[k], poses.ts[k], poses.covariances[k]
     poses.costs[k], poses.logdets[k] = NO_SOLUTION, 0.0
-    covariance[:, :] = poses.noise[k] = 0.0
+    covariance[:, :] = 0.0
     for i in range(begin, end):
         poses.residuals[i, :] = 0.0
     if end - begin < 3:
@@ -225,7 +186,6 @@ def solve_one(k, eyes, bodies, bundle, motion, poses):
     poses.costs[k], poses.logdets[k] = cost, logdet
     for i in range(begin, end):
         poses.residuals[i, 0], poses.residuals[i, 1] = work.off[i - begin, 0], work.off[i - begin, 1]
-    _noise(k, bundle, work, covariance, poses.noise[k])
 
 
 @compiled
