@@ -98,10 +98,11 @@ def quat_from_matrix(rotation: Floats) -> Floats:
         quat = (b + d, 1.0 + e - a - i, f + h, c - g)
     else:
         quat = (c + g, f + h, 1.0 + i - a - e, d - b)
-    scale = math.sqrt(sum(v * v for v in quat))
-    if quat[3] < 0:
+    x, y, z, w = quat
+    scale = math.sqrt(x * x + y * y + z * z + w * w)
+    if w < 0:
         scale = -scale
-    return np.array([v / scale for v in quat])
+    return np.array([x / scale, y / scale, z / scale, w / scale])
 
 
 def exp_rotation(rotvec: Floats) -> Floats:

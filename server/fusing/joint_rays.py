@@ -16,6 +16,8 @@ from asterism.server.pose.fit import LEDS
 from asterism.server.pose.rotations import exp_into, mapped, product_into
 from asterism.server.pose.spot_shift import has_shift, spot_shifts
 
+WHITE = 8  # six derivatives, a residual and a zero: a number that fills a processor's registers
+
 
 class Eyes(NamedTuple):
     """c cameras: T_camera_world, ``rotations`` (c, 3, 3) and ``ts`` (c, 3) m; where they stand in the world,
@@ -93,7 +95,7 @@ class Poses(NamedTuple):
 class Work(NamedTuple):
     """Scratch for a robot of n rays: their derivatives ``by_pose`` (n, 2, 6) by a move of the robot, ``by_place``
     (n, 2, 6) by one of the camera, ``by_led`` (n, 2, 3); ``off`` (n, 2); the ``factor`` of their covariance (2 n, 2 n),
-    and ``white`` (7, 2 n), derivatives and residuals divided by it.
+    and ``white`` (2 n, WHITE), by columns derivatives and residuals divided by it, and zeros.
     """
 
     by_pose: Floats
@@ -109,7 +111,7 @@ def work_room(n):
     """Scratch for n rays."""
     return Work(
         np.empty((n, 2, 6)), np.empty((n, 2, 6)), np.empty((n, 2, 3)), np.empty((n, 2)), np.empty((2 * n, 2 * n)),
-        np.empty((7, 2 * n)),
+        np.zeros((2 * n, WHITE)),
     )  # fmt: skip
 
 

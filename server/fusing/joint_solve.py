@@ -15,9 +15,9 @@ import math
 
 import numpy as np
 
-from asterism.server.compiled import compiled, compiled_sums
+from asterism.server.compiled import compiled
 from asterism.server.fusing.joint_covariance import fill_covariance
-from asterism.server.fusing.joint_rays import linearize, work_room
+from asterism.server.fusing.joint_rays import WHITE, linearize, work_room
 from asterism.server.pose.covariance import invert
 from asterism.server.pose.planar import NO_SOLUTION
 from asterism.server.pose.rotations import exp_into, product_into
@@ -30,71 +30,86 @@ AGAIN = 4  # times that the covariance is made anew at most
 
 
 @compiled
+def _finish(a, h, size):
+    """Divide what is left of row h by the root of its first number; whether there is one."""
+    if not a[h, h] > 0.0:
+        return False
+    a[h, h] = 1.0 / math.sqrt(a[h, h])
+    for i in range(h + 1, size):
+        a[h, i] *= a[h, h]
+    return True
+
+
+@compiled
 def factorize(a, size):
     """The upper triangle of the symmetric ``a`` becomes its Cholesky factor, with one over the diagonal; whether it has
-    one. Innermost loops run along rows, which processors do several at a time.
+    one. The size is even: two rows are taken from those below at once, along the rows, where processors are fastest.
     """
-    for h in range(size):
-        if not a[h, h] > 0.0:
+    for h in range(0, size, 2):
+        g = h + 1
+        if not _finish(a, h, size):
             return False
-        per = 1.0 / math.sqrt(a[h, h])
-        a[h, h] = per
-        for i in range(h + 1, size):
-            a[h, i] *= per
-        for j in range(h + 1, size):
-            share = a[h, j]
+        share = a[h, g]
+        for i in range(g, size):
+            a[g, i] -= share * a[h, i]
+        if not _finish(a, g, size):
+            return False
+        for j in range(g + 1, size):
+            one, other = a[h, j], a[g, j]
             for i in range(j, size):
-                a[j, i] -= share * a[h, i]
+                a[j, i] = a[j, i] - one * a[h, i] - other * a[g, i]
     return True
 
 
 @compiled
 def whiten(factor, white, size):
-    """Divide the rows of ``white`` (columns, size) by the factor, in place."""
+    """Divide the columns of ``white`` (size, WHITE) by the factor, in place."""
     for h in range(size):
-        for c in range(white.shape[0]):
-            share = white[c, h] * factor[h, h]
-            white[c, h] = share
-            for i in range(h + 1, size):
-                white[c, i] -= factor[h, i] * share
+        for c in range(WHITE):
+            white[h, c] *= factor[h, h]
+        for i in range(h + 1, size):
+            share = factor[h, i]
+            for c in range(WHITE):
+                white[i, c] -= share * white[h, c]
 
 
 @compiled
-def _fill_white(work, n, derive):
-    """Residuals, and where ``derive`` the derivatives, before they are whitened."""
+def _fill_white(work, n):
+    """Derivatives and residuals, before they are whitened."""
     for i in range(n):
         for a in range(2):
-            if derive:
-                for j in range(6):
-                    work.white[j, 2 * i + a] = work.by_pose[i, a, j]
-            work.white[6, 2 * i + a] = work.off[i, a]
-
-
-@compiled_sums
-def _product(one, other):
-    """Of two vectors."""
-    total = 0.0
-    for r in range(one.shape[0]):
-        total += one[r] * other[r]
-    return total
+            for j in range(6):
+                work.white[2 * i + a, j] = work.by_pose[i, a, j]
+            work.white[2 * i + a, 6] = work.off[i, a]
 
 
 @compiled
-def _normal(white, normal, right):
-    """Fill the normal matrix (6, 6) and right side (6,); returns chi squared."""
+def _normal(white, size, products, normal, right):
+    """Fill the normal matrix (6, 6) and right side (6,), by all columns' ``products`` (7, WHITE); returns chi
+    squared.
+    """
+    products[:, :] = 0.0
+    for r in range(size):
+        for i in range(7):
+            for j in range(WHITE):
+                products[i, j] += white[r, i] * white[r, j]
     for i in range(6):
-        for j in range(i + 1):
-            normal[i, j] = normal[j, i] = _product(white[i], white[j])
-        right[i] = _product(white[i], white[6])
-    return _product(white[6], white[6])
+        right[i] = products[i, 6]
+        for j in range(6):
+            normal[i, j] = products[i, j]
+    return products[6, 6]
 
 
 @compiled
 def _cost(work, size):
     """Chi squared of the residuals, which are in ``off``."""
-    _fill_white(work, size // 2, False)
-    whiten(work.factor, work.white[6:], size)
-    return _product(work.white[6], work.white[6])
+    left, cost = work.off.copy().reshape(size), 0.0
+    for h in range(size):
+        share = left[h] * work.factor[h, h]
+        cost += share * share
+        for i in range(h + 1, size):
+            left[i] -= work.factor[h, i] * share
+    return cost
 
 
 @compiled
@@ -117,15 +132,15 @@ def _fit(k, rotation, t, eyes, bodies, bundle, motion, work, covariance):
     """
     size = 2 * (bundle.first[k + 1] - bundle.first[k])
     normal, right, move, turn = np.empty((6, 6)), np.empty(6), np.empty(6), np.empty((3, 3))
-    trial, trial_t, gone = np.empty((3, 3)), np.empty(3), 0.0
+    trial, trial_t, products, gone = np.empty((3, 3)), np.empty(3), np.empty((7, WHITE)), 0.0
     fill_covariance(k, rotation, t, eyes, bodies, bundle, motion, work)
     if not factorize(work.factor, size):
         return NO_SOLUTION, 0.0, 0.0
     damping, cost = 0.0, NO_SOLUTION
     for _ in range(STEPS):
-        _fill_white(work, size // 2, True)
+        _fill_white(work, size // 2)
         whiten(work.factor, work.white, size)
-        cost = _normal(work.white, normal, right)
+        cost = _normal(work.white, size, products, normal, right)
         accepted, step, trial_cost = False, 0.0, cost
         for _ in range(8):
             _damped(normal, right, damping, covariance, move)

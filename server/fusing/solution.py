@@ -24,8 +24,8 @@ UNLIKE = math.cos(math.radians(2.5))  # half of an angle from which on two poses
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
     """A robot's pose T_world_robot by its `Wanted`: ``covariance`` (6, 6) as of a `FusedPose`; chi squared of the
-    residuals, ``cost``; ``residuals`` (n, 2), rays, of the ``cameras`` (n,) by their numbers and the ``leds`` (n,), with the
-    root mean square ``rms_px``. ``evidence`` for it over the ``alternative``, nats.
+    residuals, ``cost``; ``residuals`` (n, 2), rays, of the ``cameras`` (n,) by their numbers and the ``leds`` (n,),
+    with the root mean square ``rms_px``. ``evidence`` for it over the ``alternative``, nats.
     """
 
     wanted: Wanted

@@ -93,4 +93,3 @@ def test_from_where_it_starts_does_not_matter(rng: np.random.Generator, turned_r
     sigmas = np.sqrt(np.diag(one.covariance))
     turn = log_rotation(one.pose.rotation @ other.pose.rotation.T)
     assert np.abs(np.concatenate([one.pose.position - other.pose.position, turn]) / sigmas).max() < 0.01
-    assert np.linalg.eigvalsh(one.noise).min() > 0.0
