@@ -34,7 +34,7 @@ class Pose:
     orientation: Floats  # (4,) x y z w, unit, w >= 0
 
     def __post_init__(self) -> None:
-        x, y, z, w = map(float, self.orientation)
+        x, y, z, w = np.asarray(self.orientation, np.float64).tolist()
         norm = math.sqrt(x * x + y * y + z * z + w * w)
         assert norm > 0.0, "a quaternion of zero length is no rotation"
         scale = 1.0 / norm if w >= 0.0 else -1.0 / norm
@@ -76,7 +76,7 @@ class Pose:
 
 def matrix_from_quat(quat: Sequence[float] | Floats) -> Floats:
     """Rotation matrix (3, 3) of a unit quaternion x y z w."""
-    x, y, z, w = (float(v) for v in quat)
+    x, y, z, w = np.asarray(quat, np.float64).tolist()
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -98,10 +98,11 @@ def quat_from_matrix(rotation: Floats) -> Floats:
         quat = (b + d, 1.0 + e - a - i, f + h, c - g)
     else:
         quat = (c + g, f + h, 1.0 + i - a - e, d - b)
-    scale = math.sqrt(sum(v * v for v in quat))
-    if quat[3] < 0:
+    x, y, z, w = quat
+    scale = math.sqrt(x * x + y * y + z * z + w * w)
+    if w < 0:
         scale = -scale
-    return np.array([v / scale for v in quat])
+    return np.array([x / scale, y / scale, z / scale, w / scale])
 
 
 def exp_rotation(rotvec: Floats) -> Floats:

@@ -1,14 +1,14 @@
 """Every camera's newest frame but one, as the rays of robots' LEDs: what the next frame's are compared with."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
-from asterism.server.fusing.follow import ARM2, JERKS, UNKNOWN_RATES
-from asterism.server.fusing.gather import Sight
+from asterism.server.fusing.follow import JERKS, UNKNOWN_RATES
+from asterism.server.fusing.gather import PER_AXIS, Sight
 from asterism.server.fusing.joint_rays import Bundle, Motion
 from asterism.server.pose.fit import LEDS
 
@@ -28,19 +28,20 @@ class Film(NamedTuple):
     times: Floats
 
 
-def film_of(camera: str, spots: Mapping[str, Spots], sight: Sight) -> Film:
-    """A camera's frame of those robots' ``spots``, by their ids and the camera's name."""
-    r, rows = len(sight.robots), np.full((len(sight.robots), LEDS), -1)
+def films_of(cameras: Sequence[str], spots: Mapping[str, Spots], sight: Sight) -> dict[str, Film]:
+    """The frames of cameras that exposed now, of those robots' ``spots``, by their ids and the cameras' names."""
+    c, r = len(cameras), len(sight.robots)
+    rows = np.full((c, r, LEDS), -1)
     for robot, by_camera in spots.items():
-        if camera in by_camera:
-            rows[sight.robots[robot]] = by_camera[camera]
+        for k, camera in enumerate(cameras):
+            if camera in by_camera:
+                rows[k, sight.robots[robot]] = by_camera[camera]
     seen = rows >= 0
-    some = rows[seen] + sight.first[camera]
-    exposed_ns = sight.sightings[camera].exposed_ns
-    film = Film(exposed_ns, np.full((r, LEDS, 2), np.nan), np.zeros((r, LEDS, 3)), np.zeros((r, LEDS)))
-    film.rays[seen], film.covariances[seen] = sight.rays[some], sight.covariances[some]
-    film.times[seen] = sight.times[some] - (exposed_ns - sight.exposed_ns) * 1e-9
-    return film
+    some = (rows + np.array([sight.first[camera] for camera in cameras])[:, None, None])[seen]
+    rays, covariances = np.full((c, r, LEDS, 2), np.nan), np.zeros((c, r, LEDS, 3))
+    times = np.zeros((c, r, LEDS))
+    rays[seen], covariances[seen], times[seen] = sight.rays[some], sight.covariances[some], sight.times[some]
+    return {camera: Film(sight.exposed_ns, rays[k], covariances[k], times[k]) for k, camera in enumerate(cameras)}
 
 
 def pairs_of(
@@ -51,15 +52,31 @@ def pairs_of(
     m = len(robots)
     motion = Motion(
         np.zeros(m), np.zeros((m, 12)), np.tile(UNKNOWN_RATES, (m, 1, 1)),
-        np.tile(JERKS[-1] * np.repeat([1.0, ARM2], 3), (m, 1)),
+        np.tile(JERKS[-1] * PER_AXIS, (m, 1)),
     )  # fmt: skip
-    parts = [_pair(robots, before[name], now[name], sight.number[name]) for name in names]
-    rows, rays, covariances, cameras, leds, times = map(np.concatenate, zip(*(parts or [_nothing()]), strict=True))
-    order = np.argsort(rows, kind="stable")
-    first = np.searchsorted(rows[order], 2 * np.arange(m + 1))
-    bundle = Bundle(
-        first, rays[order], covariances[order], cameras[order], leds[order], times[order], robots, np.zeros(m)
+    films = [film for name in names for film in (now[name], before[name])]
+    if not films:
+        return _no_pairs(robots), motion
+    # By robot, camera and whether now or before, and LED.
+    rays, covariances, times = (np.array([film[k] for film in films])[:, robots] for k in (1, 2, 3))
+    seen = np.isfinite(rays[0::2, :, :, 0]) & np.isfinite(rays[1::2, :, :, 0])
+    which, pair, leds = np.nonzero(seen.transpose(1, 0, 2))
+    count = np.bincount(which, minlength=m)
+    first = np.concatenate([[0], np.cumsum(2 * count)])
+    # All of a robot's rays now, then in the same order those of before.
+    to = np.arange(len(which)) + np.repeat(first[:-1] - np.cumsum(count) + count, count)
+    rows = np.empty((3, 2 * len(which)), np.int64)
+    rows[:, to] = 2 * pair, which, leds
+    rows[:, to + count[which]] = 2 * pair + 1, which, leds
+    film, robot, led = rows
+    late = np.array(
+        [(one.exposed_ns - now[name].exposed_ns) * 1e-9 for name in names for one in (now[name], before[name])]
     )
+    numbers = np.array([sight.number[name] for name in names])
+    bundle = Bundle(
+        first, rays[film, robot, led], covariances[film, robot, led], numbers[film // 2], led.copy(),
+        times[film, robot, led] + late[film], robots, np.zeros(m),
+    )  # fmt: skip
     return bundle, motion
 
 
@@ -67,22 +84,8 @@ def _is_near(before: Film, now: Film) -> bool:
     return 0 < now.exposed_ns - before.exposed_ns <= LONGEST_NS
 
 
-def _pair(robots: NDArray[np.int64], before: Film, now: Film, camera: int) -> Sequence[NDArray[Any]]:
-    """Columns of the rays that both frames show: twice the row of their robot, plus one for the frame before."""
-    seen = np.isfinite(now.rays[robots, :, 0]) & np.isfinite(before.rays[robots, :, 0])
-    which, leds = np.nonzero(seen)
-    k, apart_s = robots[which], (before.exposed_ns - now.exposed_ns) * 1e-9
-    films = ((0, now, 0.0), (1, before, apart_s))
-    return (
-        np.concatenate([2 * which + older for older, _, _ in films]),
-        np.concatenate([film.rays[k, leds] for _, film, _ in films]),
-        np.concatenate([film.covariances[k, leds] for _, film, _ in films]),
-        np.full(2 * len(k), camera),
-        np.concatenate([leds, leds]),
-        np.concatenate([film.times[k, leds] + late for _, film, late in films]),
+def _no_pairs(robots: NDArray[np.int64]) -> Bundle:
+    m, none = len(robots), np.zeros(0, np.int64)
+    return Bundle(
+        np.zeros(m + 1, np.int64), np.zeros((0, 2)), np.zeros((0, 3)), none, none, np.zeros(0), robots, np.zeros(m)
     )
-
-
-def _nothing() -> Sequence[NDArray[Any]]:
-    none = np.zeros(0, np.int64)
-    return none, np.zeros((0, 2)), np.zeros((0, 3)), none, none, np.zeros(0)

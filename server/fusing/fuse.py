@@ -14,7 +14,7 @@ import numpy as np
 from asterism.server.chain.answers import NO_POSE
 from asterism.server.fusing.claims import Claim, Foreseen, claims_of
 from asterism.server.fusing.disagree import is_surprising, misplaced_text, off_of, sorted_out
-from asterism.server.fusing.films import Film, Spots, film_of, pairs_of
+from asterism.server.fusing.films import Film, Spots, films_of, pairs_of
 from asterism.server.fusing.fleet import Fleet
 from asterism.server.fusing.follow import Courses, Look, follow
 from asterism.server.fusing.fused import Fused, FusedPose
@@ -44,46 +44,67 @@ def fuse(sightings: Sequence[Sighting], fleet: Fleet, before: Joint) -> tuple[Fu
     ``sightings`` are those of the cameras that exposed at exactly that time, one or more. ``before`` is what fusing
     the exposures before handed back, `Joint.none()` at first.
     """
+    line = solved(sightings, fleet, before)
+    return line.fused, line.memory()
+
+
+def solved(sightings: Sequence[Sighting], fleet: Fleet, before: Joint) -> "Line":
+    """The same in two steps, for who is in a hurry: an exposure with its poses, and its memory when it is asked for."""
     exposed_ns = sightings[0].exposed_ns
     joint = before.hearing(sightings, tuple(fleet.robots))
     current = joint.counting(exposed_ns)
     foresight = Foresight(joint, exposed_ns)
     courses = joint.courses_before(min(sighting.exposed_ns for sighting in current))
     sight = Sight(fleet, current, exposed_ns, courses)
-    claims: Mapping[str, Claim | Lost] | None = quick_claims(fleet, current, foresight, exposed_ns)
-    line = None if claims is None else _Line(joint, sight, foresight, claims)
-    if claims is None or line is None or line.surprised:
-        claims = claims_of(fleet, current, foresight)
-        line = _Line(joint, sight, foresight, claims)
-    answers = {
-        robot: claim if isinstance(claim, Lost) else line.answers.get(robot, Lost(NO_POSE))
-        for robot, claim in claims.items()
-    }
     cameras = tuple(sorted(sighting.camera for sighting in sightings))
-    films = {camera: film_of(camera, line.spots, line.sight) for camera in cameras}
-    after = joint.then(exposed_ns, line.followed(joint, films))
-    after = replace(after, known=line.known, places=line.places, films={**joint.films, **_longer(joint.films, films)})
-    return Fused(exposed_ns, cameras, answers), after
+    claims = quick_claims(fleet, current, foresight, exposed_ns)
+    if claims is not None:
+        line = Line(joint, sight, foresight, claims, cameras)
+        if not line.surprised:
+            return line
+    return Line(joint, sight, foresight, claims_of(fleet, current, foresight), cameras)
 
 
-class _Line:
-    """One exposure being solved: its answers, and what is known of robots and places after it."""
+class Line:
+    """One exposure being solved, of the ``cameras`` that exposed then: its answers, and what is known of robots and
+    places after it.
+    """
 
-    def __init__(self, joint: Joint, sight: Sight, foresight: Foresight, claims: Mapping[str, Claim | Lost]) -> None:
-        self.sight, self.foresight = sight, foresight
+    def __init__(
+        self, joint: Joint, sight: Sight, foresight: Foresight, claims: Mapping[str, Claim | Lost],
+        cameras: tuple[str, ...],
+    ) -> None:  # fmt: skip
+        self.joint, self.sight, self.foresight, self.cameras = joint, sight, foresight, cameras
         self.surprised = False
         self.answers: dict[str, FusedPose] = {}
         self.known: dict[str, Known] = dict(joint.known)
         self.places: Places = joint.places
-        self._rests: dict[str, tuple[FusedPose, Solution | None]] = {}
         self.spots: dict[str, Spots] = {}
-        self._solve({robot: claim for robot, claim in claims.items() if isinstance(claim, Claim)})
+        self._claims = claims
+        self._solve([claim for claim in claims.values() if isinstance(claim, Claim)])
 
-    def _solve(self, claims: Mapping[str, Claim]) -> None:
+    @property
+    def fused(self) -> Fused:
+        """What is said of the exposure."""
+        nothing = Lost(NO_POSE)
+        answers = {
+            robot: claim if isinstance(claim, Lost) else self.answers.get(robot, nothing)
+            for robot, claim in self._claims.items()
+        }
+        return Fused(self.sight.exposed_ns, self.cameras, answers)
+
+    def memory(self) -> Joint:
+        """What is remembered for the exposures after it."""
+        exposed_ns, films = self.sight.exposed_ns, films_of(self.cameras, self.spots, self.sight)
+        after = self.joint.then(exposed_ns, self._followed(films))
+        kept = {**self.joint.films, **_longer(self.joint.films, films)}
+        return replace(after, known=self.known, places=self._compared(), films=kept)
+
+    def _solve(self, claims: Sequence[Claim]) -> None:
         """Answer for all robots that have spots."""
         alone: list[tuple[Claim, Wanted]] = []
         shared: list[tuple[Claim, Wanted]] = []
-        for claim in claims.values():
+        for claim in claims:
             self.spots[claim.robot] = claim.spots
             wanted = self._wanted(claim)
             (alone if len(wanted.spots) == 1 else shared).append((claim, wanted))
@@ -92,7 +113,6 @@ class _Line:
         found = solutions([wanted for _, wanted in shared], self.sight)
         for (claim, wanted), one in zip(shared, found, strict=True):
             self._join(wanted, claim, one)
-        self._compare(claims)
 
     def _wanted(self, claim: Claim) -> Wanted:
         """The claim without cameras that are misplaced, if others see the robot."""
@@ -152,47 +172,48 @@ class _Line:
 
     def _tell(self, robot: str, told: FusedPose, rests: Solution | None, evidence: float) -> None:
         self.answers[robot] = told
-        self._rests[robot] = told, rests
         known, exposed_ns = self.known.get(robot, Known()), self.sight.exposed_ns
         chi2, freedom = known.chi2, known.freedom
         if rests is not None:
             gone_s = (exposed_ns - known.seen_ns) * 1e-9
             keep = math.exp(-gone_s / KEPT_S) if 0.0 <= gone_s < KEPT_S else 0.0
             chi2, freedom = keep * chi2 + rests.cost, keep * freedom + rests.freedom
-        self.known[robot] = replace(
-            known, cameras=told.cameras, evidence=min(evidence, MOST_EVIDENCE), chi2=chi2, freedom=freedom,
-            seen_ns=exposed_ns,
-        )  # fmt: skip
+        evidence = min(evidence, MOST_EVIDENCE)
+        self.known[robot] = Known(
+            told.cameras, evidence, known.misfit_m, known.misfit_ns, chi2, freedom, seen_ns=exposed_ns
+        )
 
-    def _compare(self, claims: Mapping[str, Claim]) -> None:
-        """Add to what is known of the cameras' places what their rays tell, whether they are left out or not."""
+    def _compared(self) -> Places:
+        """What is known of the cameras' places, with what their rays tell, whether they are left out or not."""
         wanted = [
-            Wanted(robot, claims[robot].spots, told.pose, self.known[robot].misfit_m)
-            for robot, (told, _) in self._rests.items()
-            if len(claims[robot].spots) > 1
+            Wanted(robot, self.spots[robot], told.pose, self.known[robot].misfit_m)
+            for robot, told in self.answers.items()
+            if len(self.spots[robot]) > 1
         ]
-        if len(self.sight.names) < 3 or not wanted or abs(self.sight.exposed_ns - self.places.at_ns) < COMPARED_NS:
-            return
-        places = self.places.later(self.sight.names, self.sight.exposed_ns)
-        bundle, motion, poses = self.sight.bundle(wanted)
+        sight, places = self.sight, self.places
+        if len(sight.names) < 3 or not wanted or abs(sight.exposed_ns - places.at_ns) < COMPARED_NS:
+            return places
+        places = places.later(sight.names, sight.exposed_ns)
+        bundle, motion, poses = sight.bundle(wanted)
         normal, right = places.normal.copy(), places.right.copy()
-        eyes, bodies = self.sight.eyes, self.sight.bodies
-        count, stays = add_ties(eyes, bodies, bundle, motion, poses, normal, right)
+        count, stays = add_ties(sight.eyes, sight.bodies, bundle, motion, poses, normal, right)
         places = replace(places, normal=normal, right=right, ties=places.ties + count, stays=places.stays + stays)
-        self.places = judged(places, eyes.places, len(wanted))
+        return judged(places, sight.eyes.places, len(wanted))
 
-    def followed(self, joint: Joint, films: Mapping[str, Film]) -> Courses:
+    def _followed(self, films: Mapping[str, Film]) -> Courses:
         """How the robots move after this exposure, whose frames are ``films``."""
-        courses = joint.courses_before(self.sight.exposed_ns).copied()
-        robots = np.array([self.sight.robots[robot] for robot in self.answers], np.int64)
+        sight = self.sight
+        courses = self.joint.courses_before(sight.exposed_ns).copied()
+        robots = np.array([sight.robots[robot] for robot in self.answers], np.int64)
         if len(robots):
             told = list(self.answers.values())
             look = Look(
                 robots, np.array([one.pose.rotation for one in told]), np.array([one.pose.position for one in told]),
                 np.array([one.covariance for one in told]),
             )  # fmt: skip
-            pairs, motion = pairs_of(robots, {name: some[0] for name, some in joint.films.items()}, films, self.sight)
-            follow(courses, look, self.sight.exposed_ns, self.sight.eyes, self.sight.bodies, pairs, motion)
+            before = {name: some[0] for name, some in self.joint.films.items()}
+            pairs, motion = pairs_of(robots, before, films, sight)
+            follow(courses, look, sight.exposed_ns, sight.eyes, sight.bodies, pairs, motion)
         return courses
 
 

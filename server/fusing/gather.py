@@ -12,10 +12,12 @@ from asterism.server.fusing.fleet import Fleet
 from asterism.server.fusing.follow import ARM2, JERKS, UNKNOWN_RATES, Courses
 from asterism.server.fusing.joint_rays import Bodies, Bundle, Eyes, Motion, Poses
 from asterism.server.fusing.sighting import Sighting
+from asterism.server.pose.fit import LEDS
 from asterism.server.pose.lens import FX, FY
-from asterism.server.pose.matched import LEAST_SIGMA_PX
 from asterism.server.pose.spot_shift import OPTICS
 from asterism.server.pose.track import FORGET_NS
+
+PER_AXIS = np.repeat([1.0, ARM2], 3)  # of a position's density, that of every axis of a pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,12 +54,12 @@ class Sight:
             self.first[sighting.camera] = total
             total += len(sighting.rays)
         self.rays = np.concatenate([sighting.rays for sighting in sightings])
-        self.covariances = np.concatenate([with_floor(sighting) for sighting in sightings])
-        self.times = np.concatenate([times_of(sighting, exposed_ns) for sighting in sightings])
+        self.covariances = np.concatenate([sighting.weighed for sighting in sightings])
+        self.times = np.concatenate([one.row_times + (one.exposed_ns - exposed_ns) * 1e-9 for one in sightings])
 
     def bundle(self, wanted: Sequence[Wanted]) -> tuple[Bundle, Motion, Poses]:
         """The rays of robots, how they move, and poses with their starts in them."""
-        spots = np.array([of for one in wanted for of in one.spots.values()])
+        spots = np.concatenate([of for one in wanted for of in one.spots.values()]).reshape(-1, LEDS)
         firsts = np.array([self.first[camera] for one in wanted for camera in one.spots])
         numbers = np.array([self.number[camera] for one in wanted for camera in one.spots], np.int64)
         group, leds = np.nonzero(spots >= 0)
@@ -133,23 +135,7 @@ def motion_of(courses: Courses, robots: NDArray[np.int64], exposed_ns: int) -> M
     gone = exposed_ns - seen_ns
     known = (seen_ns > 0) & (gone >= 0) & (gone <= FORGET_NS)
     rates, covariances = courses.states[robots], courses.covariances[robots]
-    densities = np.repeat((courses.weights[robots] @ JERKS)[:, None] * [1.0, ARM2], 3, axis=1)
-    rates[~known], covariances[~known], densities[~known] = 0.0, UNKNOWN_RATES, JERKS[-1] * np.repeat([1.0, ARM2], 3)
+    densities = (courses.weights[robots] @ JERKS)[:, None] * PER_AXIS
+    if not known.all():
+        rates[~known], covariances[~known], densities[~known] = 0.0, UNKNOWN_RATES, JERKS[-1] * PER_AXIS
     return Motion(np.where(known, gone * 1e-9, 0.0), rates, covariances, densities)
-
-
-def with_floor(sighting: Sighting) -> Floats:
-    """Covariances (n, 3) of the rays: no centre is known better than that."""
-    lens = sighting.view.lens
-    out: Floats = sighting.ray_covariances + LEAST_SIGMA_PX**2 / (lens[FX] * lens[FY]) * np.array([1.0, 0.0, 1.0])
-    return out
-
-
-def times_of(sighting: Sighting, exposed_ns: int) -> Floats:
-    """When the rays were seen (n,), s after an exposure: a rolling shutter sees each at its row's time."""
-    rig = sighting.view.rig
-    times = np.full(len(sighting.rays), (sighting.exposed_ns - exposed_ns) * 1e-9)
-    line_s = 1e-6 * rig.capture.line_time_us
-    if line_s > 0.0:
-        times += (sighting.centres_px[:, 1] - 0.5 * (rig.camera.height - 1)) * line_s
-    return times

@@ -61,14 +61,14 @@ def _most_doubts(k, bodies, bundle):
 
 @compiled
 def fill_covariance(k, rotation, t, eyes, bodies, bundle, motion, work):
-    """Fill the lower triangle of the work's ``factor`` with the covariance of all rays of robot k, by the derivatives
+    """Fill the upper triangle of the work's ``factor`` with the covariance of all rays of robot k, by the derivatives
     there at that pose.
     """
     begin = bundle.first[k]
     n = bundle.first[k + 1] - begin
     misfit2 = bundle.misfits[k] ** 2
     placed, rated, risen = np.empty((2, 6)), np.empty((2, 6)), np.empty((2, 6))
-    age, swayed, block = motion.ages[k], np.empty((2, 6)), np.empty((2, 2))
+    age, swept, block = motion.ages[k], np.empty((2, 6)), np.empty((2, 2))
     rates = motion.covariances[k]
     lights = _most_doubts(k, bodies, bundle)
     light = np.empty((n, 2, max(lights, 1)))
@@ -80,13 +80,13 @@ def fill_covariance(k, rotation, t, eyes, bodies, bundle, motion, work):
         for a in range(2):
             for j in range(6):
                 placed[a, j] = rated[a, j] = risen[a, j] = 0.0
-                swayed[a, j] = work.by_pose[i, a, j] * motion.densities[k, j]
                 for h in range(6):
                     placed[a, j] += work.by_place[i, a, h] * eyes.places[camera, h, j]
                     if time != 0.0:
                         move = work.by_pose[i, a, h]
                         rated[a, j] += move * (time * rates[h, j] + change * rates[6 + h, j])
                         risen[a, j] += move * (time * rates[h, 6 + j] + change * rates[6 + h, 6 + j])
+        swept_to = 0.0
         for m in range(i + 1):
             other = bundle.times[begin + m]
             block[:, :] = 0.0
@@ -95,9 +95,14 @@ def fill_covariance(k, rotation, t, eyes, bodies, bundle, motion, work):
             if misfit2 > 0.0 and bundle.leds[begin + m] == bundle.leds[begin + i]:
                 _add(block, work.by_led[i], work.by_led[m], misfit2)
             if time * other != 0.0:
-                _add(block, rated, work.by_pose[m], other)
-                _add(block, risen, work.by_pose[m], way_by_change(other, age))
-                _add(block, swayed, work.by_pose[m], shared_motion(time, other, age))
+                if other != swept_to:  # as many rays have one time
+                    rise, sway = way_by_change(other, age), shared_motion(time, other, age)
+                    for a in range(2):
+                        for j in range(6):
+                            swayed = sway * work.by_pose[i, a, j] * motion.densities[k, j]
+                            swept[a, j] = other * rated[a, j] + rise * risen[a, j] + swayed
+                    swept_to = other
+                _add(block, swept, work.by_pose[m], 1.0)
             if lights:
                 _add(block, light[i], light[m], 1.0)
             if m == i:
@@ -108,4 +113,4 @@ def fill_covariance(k, rotation, t, eyes, bodies, bundle, motion, work):
                 block[1, 1] += own[2]
             for a in range(2):
                 for b in range(2):
-                    work.factor[2 * i + a, 2 * m + b] = block[a, b]
+                    work.factor[2 * m + b, 2 * i + a] = block[a, b]

@@ -16,6 +16,8 @@ from asterism.server.pose.fit import LEDS
 from asterism.server.pose.rotations import exp_into, mapped, product_into
 from asterism.server.pose.spot_shift import has_shift, spot_shifts
 
+WHITE = 8  # six derivatives, a residual and a zero: a number that fills a processor's registers
+
 
 class Eyes(NamedTuple):
     """c cameras: T_camera_world, ``rotations`` (c, 3, 3) and ``ts`` (c, 3) m; where they stand in the world,
@@ -71,8 +73,7 @@ class Poses(NamedTuple):
     """Poses of m robots, T_world_robot: ``rotations`` (m, 3, 3) and ``ts`` (m, 3) m, starts first, then what is solved;
     ``costs`` (m,) are chi squared of all residuals, NO_SOLUTION where there is no pose, and ``logdets`` (m,) the
     logarithms of the determinants of the rays' covariance and of the pose's information; ``covariances`` (m, 6, 6) m
-    and rad about the world's axes, and the part of them that is ``noise`` of spots (m, 6, 6), new in every frame;
-    ``residuals`` (n, 2), rays, observed minus predicted.
+    and rad about the world's axes; ``residuals`` (n, 2), rays, observed minus predicted.
     """
 
     rotations: Floats
@@ -80,7 +81,6 @@ class Poses(NamedTuple):
     costs: Floats
     logdets: Floats
     covariances: Floats
-    noise: Floats
     residuals: Floats
 
     @staticmethod
@@ -88,15 +88,14 @@ class Poses(NamedTuple):
         """Room for so many."""
         m = robots
         return Poses(
-            np.empty((m, 3, 3)), np.empty((m, 3)), np.empty(m), np.empty(m), np.empty((m, 6, 6)), np.empty((m, 6, 6)),
-            np.empty((rays, 2)),
+            np.empty((m, 3, 3)), np.empty((m, 3)), np.empty(m), np.empty(m), np.empty((m, 6, 6)), np.empty((rays, 2))
         )  # fmt: skip
 
 
 class Work(NamedTuple):
     """Scratch for a robot of n rays: their derivatives ``by_pose`` (n, 2, 6) by a move of the robot, ``by_place``
-    (n, 2, 6) by one of the camera, ``by_led`` (n, 2, 3); ``off`` (n, 2); the factor of their covariance (2 n, 2 n), and
-    ``white`` (2 n, 7), derivatives and residuals divided by it.
+    (n, 2, 6) by one of the camera, ``by_led`` (n, 2, 3); ``off`` (n, 2); the ``factor`` of their covariance (2 n, 2 n),
+    and ``white`` (2 n, WHITE), by columns derivatives and residuals divided by it, and zeros.
     """
 
     by_pose: Floats
@@ -112,7 +111,7 @@ def work_room(n):
     """Scratch for n rays."""
     return Work(
         np.empty((n, 2, 6)), np.empty((n, 2, 6)), np.empty((n, 2, 3)), np.empty((n, 2)), np.empty((2 * n, 2 * n)),
-        np.empty((2 * n, 7)),
+        np.zeros((2 * n, WHITE)),
     )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from asterism.server.compiled import compiled
 from asterism.server.fusing.joint_covariance import fill_covariance
-from asterism.server.fusing.joint_rays import linearize, work_room
+from asterism.server.fusing.joint_rays import WHITE, linearize, work_room
 from asterism.server.pose.covariance import invert
 from asterism.server.pose.planar import NO_SOLUTION
 from asterism.server.pose.rotations import exp_into, product_into
@@ -30,75 +30,85 @@ AGAIN = 4  # times that the covariance is made anew at most
 
 
 @compiled
-def factorize(a, size):
-    """The lower triangle of the symmetric ``a`` becomes its Cholesky factor, with one over the diagonal; whether it
-    has one.
-    """
-    for j in range(size):
-        for i in range(j):
-            total = a[j, i]
-            for h in range(i):
-                total -= a[j, h] * a[i, h]
-            a[j, i] = total * a[i, i]
-        total = a[j, j]
-        for h in range(j):
-            total -= a[j, h] * a[j, h]
-        if not total > 0.0:
-            return False
-        a[j, j] = 1.0 / math.sqrt(total)
+def _finish(a, h, size):
+    """Divide what is left of row h by the root of its first number; whether there is one."""
+    if not a[h, h] > 0.0:
+        return False
+    a[h, h] = 1.0 / math.sqrt(a[h, h])
+    for i in range(h + 1, size):
+        a[h, i] *= a[h, h]
     return True
 
 
 @compiled
-def whiten(factor, white, size, columns):
-    """Divide the columns of ``white`` (size, columns) by the factor, in place."""
-    for i in range(size):
-        for h in range(i):
-            share = factor[i, h]
-            for c in range(columns):
-                white[i, c] -= share * white[h, c]
-        for c in range(columns):
-            white[i, c] *= factor[i, i]
+def factorize(a, size):
+    """The upper triangle of the symmetric ``a`` becomes its Cholesky factor, with one over the diagonal; whether it has
+    one. The size is even: two rows are taken from those below at once, along the rows, where processors are fastest.
+    """
+    for h in range(0, size, 2):
+        g = h + 1
+        if not _finish(a, h, size):
+            return False
+        share = a[h, g]
+        for i in range(g, size):
+            a[g, i] -= share * a[h, i]
+        if not _finish(a, g, size):
+            return False
+        for j in range(g + 1, size):
+            one, other = a[h, j], a[g, j]
+            for i in range(j, size):
+                a[j, i] = a[j, i] - one * a[h, i] - other * a[g, i]
+    return True
 
 
 @compiled
-def _fill_white(work, n, derive):
-    """Residuals, and where ``derive`` the derivatives, whitened."""
+def whiten(factor, white, size):
+    """Divide the columns of ``white`` (size, WHITE) by the factor, in place."""
+    for h in range(size):
+        for c in range(WHITE):
+            white[h, c] *= factor[h, h]
+        for i in range(h + 1, size):
+            share = factor[h, i]
+            for c in range(WHITE):
+                white[i, c] -= share * white[h, c]
+
+
+@compiled
+def _fill_white(work, n):
+    """Derivatives and residuals, before they are whitened."""
     for i in range(n):
         for a in range(2):
-            if derive:
-                for j in range(6):
-                    work.white[2 * i + a, j] = work.by_pose[i, a, j]
+            for j in range(6):
+                work.white[2 * i + a, j] = work.by_pose[i, a, j]
             work.white[2 * i + a, 6] = work.off[i, a]
 
 
 @compiled
-def _normal(work, size, normal, right):
-    """Fill the normal matrix (6, 6) and right side (6,); returns chi squared."""
-    cost = 0.0
-    for i in range(6):
-        for j in range(7):
-            total = 0.0
-            for r in range(size):
-                total += work.white[r, i] * work.white[r, j]
-            if j < 6:
-                normal[i, j] = total
-            else:
-                right[i] = total
+def _normal(white, size, products, normal, right):
+    """Fill the normal matrix (6, 6) and right side (6,), by all columns' ``products`` (7, WHITE); returns chi
+    squared.
+    """
+    products[:, :] = 0.0
     for r in range(size):
-        cost += work.white[r, 6] ** 2
-    return cost
+        for i in range(7):
+            for j in range(WHITE):
+                products[i, j] += white[r, i] * white[r, j]
+    for i in range(6):
+        right[i] = products[i, 6]
+        for j in range(6):
+            normal[i, j] = products[i, j]
+    return products[6, 6]
 
 
 @compiled
 def _cost(work, size):
     """Chi squared of the residuals, which are in ``off``."""
-    _fill_white(work, size // 2, False)
-    column = work.white[:size, 6:]
-    whiten(work.factor, column, size, 1)
-    cost = 0.0
-    for r in range(size):
-        cost += column[r, 0] ** 2
+    left, cost = work.off.copy().reshape(size), 0.0
+    for h in range(size):
+        share = left[h] * work.factor[h, h]
+        cost += share * share
+        for i in range(h + 1, size):
+            left[i] -= work.factor[h, i] * share
     return cost
 
 
@@ -116,57 +126,21 @@ def _damped(normal, right, damping, inverse, move):
 
 
 @compiled
-def _noise(k, bundle, work, covariance, noise):
-    """Fill ``noise`` (6, 6): what of a pose's ``covariance`` is noise of spots.
-
-    A pose moves by C J' S^-1 e with errors e: with Z = S^-1 J, C Z' R Z C.
-    """
-    begin = bundle.first[k]
-    size = 2 * (bundle.first[k + 1] - begin)
-    back, inner = work.white, np.zeros((6, 6))
-    for i in range(size - 1, -1, -1):
-        for c in range(6):
-            back[i, c] *= work.factor[i, i]
-            for h in range(i):
-                back[h, c] -= work.factor[i, h] * back[i, c]
-    for r in range(size // 2):
-        own = bundle.covariances[begin + r]
-        for i in range(6):
-            p, q = back[2 * r, i], back[2 * r + 1, i]
-            for j in range(6):
-                inner[i, j] += p * (own[0] * back[2 * r, j] + own[1] * back[2 * r + 1, j])
-                inner[i, j] += q * (own[1] * back[2 * r, j] + own[2] * back[2 * r + 1, j])
-    half = np.empty((6, 6))
-    for i in range(6):
-        for j in range(6):
-            half[i, j] = 0.0
-            for h in range(6):
-                half[i, j] += covariance[i, h] * inner[h, j]
-    for i in range(6):
-        for j in range(6):
-            noise[i, j] = 0.0
-            for h in range(6):
-                noise[i, j] += half[i, h] * covariance[h, j]
-
-
-@compiled
 def _fit(k, rotation, t, eyes, bodies, bundle, motion, work, covariance):
     """Refine a pose in place with the rays' covariance where it starts; returns chi squared, `Poses.logdets` and how
-    far it went.
-
-    Leaves the whitened derivatives of the last linearization in the ``work``, and fills the ``covariance``.
+    far it went, and fills the ``covariance``.
     """
     size = 2 * (bundle.first[k + 1] - bundle.first[k])
     normal, right, move, turn = np.empty((6, 6)), np.empty(6), np.empty(6), np.empty((3, 3))
-    trial, trial_t, gone = np.empty((3, 3)), np.empty(3), 0.0
+    trial, trial_t, products, gone = np.empty((3, 3)), np.empty(3), np.empty((7, WHITE)), 0.0
     fill_covariance(k, rotation, t, eyes, bodies, bundle, motion, work)
     if not factorize(work.factor, size):
         return NO_SOLUTION, 0.0, 0.0
     damping, cost = 0.0, NO_SOLUTION
     for _ in range(STEPS):
-        _fill_white(work, size // 2, True)
-        whiten(work.factor, work.white[:size], size, 7)
-        cost = _normal(work, size, normal, right)
+        _fill_white(work, size // 2)
+        whiten(work.factor, work.white, size)
+        cost = _normal(work.white, size, products, normal, right)
         accepted, step, trial_cost = False, 0.0, cost
         for _ in range(8):
             _damped(normal, right, damping, covariance, move)
@@ -211,7 +185,7 @@ def solve_one(k, eyes, bodies, bundle, motion, poses):
     begin, end = bundle.first[k], bundle.first[k + 1]
     rotation, t, covariance = poses.rotations[k], poses.ts[k], poses.covariances[k]
     poses.costs[k], poses.logdets[k] = NO_SOLUTION, 0.0
-    covariance[:, :] = poses.noise[k] = 0.0
+    covariance[:, :] = 0.0
     for i in range(begin, end):
         poses.residuals[i, :] = 0.0
     if end - begin < 3:
@@ -227,7 +201,6 @@ def solve_one(k, eyes, bodies, bundle, motion, poses):
     poses.costs[k], poses.logdets[k] = cost, logdet
     for i in range(begin, end):
         poses.residuals[i, 0], poses.residuals[i, 1] = work.off[i - begin, 0], work.off[i - begin, 1]
-    _noise(k, bundle, work, covariance, poses.noise[k])
 
 
 @compiled

@@ -23,10 +23,12 @@ class Pace:
 
     newest: Sighting
     intervals_ns: tuple[int, ...] = ()
+    period_ns: float = field(init=False)  # from one frame to the next
 
-    @property
-    def period_ns(self) -> float:
-        """From one frame to the next."""
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "period_ns", self._period_ns())
+
+    def _period_ns(self) -> float:
         if self.intervals_ns:
             return float(sorted(self.intervals_ns)[(len(self.intervals_ns) - 1) // 2])
         rate = self.newest.view.rig.capture.rate_hz

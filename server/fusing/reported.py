@@ -35,25 +35,35 @@ def refuse_impossible(report: "pb.FrameReport", view: View) -> None:
     misfits = np.array(report.learned.led_misfit, np.float64)
     if not np.all((misfits >= 0.0) & (misfits <= MOST_MISFIT_M)):
         raise InputError(f"{where} has LEDs that are off by none of 0 to {MOST_MISFIT_M:g} m")
-    for number, robot in enumerate(report.robots):
-        if robot.HasField("pose"):
-            _refuse_pose(robot, f"{where}, robot {view.rig.robots[number].id}", int(spots_of[number]))
+    posed = [number for number, robot in enumerate(report.robots) if robot.HasField("pose")]
+    names = [f"{where}, robot {view.rig.robots[number].id}" for number in posed]
+    covariances_of([report.robots[number].covariance for number in posed], names, LEAST_VARIANCE)
+    for number, name in zip(posed, names, strict=True):
+        _refuse_pose(report.robots[number], name, int(spots_of[number]))
 
 
 def covariance_of(numbers: Sequence[float], where: str, least: float) -> Floats:
     """The covariance (6, 6) in a report, with variances from ``least`` on. Raises InputError for one that is none."""
-    flat = np.array(numbers, np.float64)
-    if flat.shape != (36,):
-        raise InputError(f"{where}: {len(flat)} numbers of a covariance, expected 36")
-    covariance: Floats = flat.reshape(6, 6)
-    variances = np.diag(covariance)
-    if np.all(np.abs(flat) <= MOST_VARIANCE) and np.all((variances == 0.0) | (variances >= LEAST_VARIANCE)):
-        sizes = np.sqrt(np.maximum(variances, LEAST_VARIANCE))
-        alike = covariance / np.outer(sizes, sizes)
-        even = np.abs(alike - alike.T).max() <= ROUNDED
-        if even and np.all(variances >= least) and np.linalg.eigvalsh(alike)[0] >= -ROUNDED:
-            return covariance
-    raise InputError(f"{where}: 36 numbers that are no covariance")
+    covariance: Floats = covariances_of([numbers], [where], least)[0]
+    return covariance
+
+
+def covariances_of(numbers: Sequence[Sequence[float]], wheres: Sequence[str], least: float) -> Floats:
+    """The same of several at once (n, 6, 6): numpy is slow at small arrays."""
+    for one, where in zip(numbers, wheres, strict=True):
+        if len(one) != 36:
+            raise InputError(f"{where}: {len(one)} numbers of a covariance, expected 36")
+    covariances = np.array([list(one) for one in numbers], np.float64).reshape(-1, 6, 6)
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    known = np.all(np.abs(covariances) <= MOST_VARIANCE, axis=(1, 2))
+    known &= np.all((variances >= least) & ((variances == 0.0) | (variances >= LEAST_VARIANCE)), axis=1)
+    sizes = np.sqrt(np.maximum(np.where(known[:, None], variances, 1.0), LEAST_VARIANCE))
+    alike = np.where(known[:, None, None], covariances, np.eye(6)) / (sizes[:, :, None] * sizes[:, None])
+    known &= np.all(np.abs(alike - np.swapaxes(alike, 1, 2)) <= ROUNDED, axis=(1, 2))
+    known &= np.linalg.eigvalsh(np.where(known[:, None, None], alike, np.eye(6)))[:, 0] >= -ROUNDED
+    for where in (where for where, good in zip(wheres, known.tolist(), strict=True) if not good):
+        raise InputError(f"{where}: 36 numbers that are no covariance")
+    return covariances
 
 
 def _spots_of_robots(report: "pb.FrameReport", view: View, where: str) -> NDArray[np.int64]:
@@ -75,6 +85,7 @@ def _spots_of_robots(report: "pb.FrameReport", view: View, where: str) -> NDArra
         raise InputError(f"{where} has spots whose covariance is none")
     robots, leds = np.array(spots.robot, np.int64), np.array(spots.led, np.int64)
     whose = (robots >= -1) & (robots < len(view.rig.robots)) & (leds >= -1) & (leds < LEDS)
+    whose &= (robots >= 0) == (leds >= 0)
     claimed = ((robots >= 0) & (leds >= 0) & whose)[used]
     numbers = (robots * LEDS + leds)[used][claimed]
     if not np.all(whose) or len(np.unique(numbers)) != len(numbers):
@@ -84,7 +95,6 @@ def _spots_of_robots(report: "pb.FrameReport", view: View, where: str) -> NDArra
 
 def _refuse_pose(robot: "pb.RobotReport", where: str, spots: int) -> None:
     report_pose(robot.pose)
-    covariance_of(robot.covariance, where, LEAST_VARIANCE)
     if not (0 <= robot.leds <= LEDS and 0.0 <= robot.rms_px < math.inf):
         raise InputError(f"{where}: {robot.leds} LEDs, off by {robot.rms_px:g} px, expected up to {LEDS}")
     if spots < LEAST_SPOTS:

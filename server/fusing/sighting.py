@@ -1,6 +1,6 @@
 """One camera's frame as fusing takes it: a frame report as arrays, its spots as rays."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,12 @@ from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.messages import Fate
 from asterism.server.fusing.fleet import View
 from asterism.server.fusing.reported import refuse_impossible
-from asterism.server.pose.lens import undistort
+from asterism.server.pose.fit import LEDS
+from asterism.server.pose.lens import FX, FY, undistort
+from asterism.server.pose.matched import LEAST_SIGMA_PX
 
 SHOWN = 40  # of names from the network, in sentences
-USABLE = (int(Fate.LED), int(Fate.UNEXPLAINED))
+LED, UNEXPLAINED = int(Fate.LED), int(Fate.UNEXPLAINED)  # of spots that may be LEDs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,6 +29,11 @@ class Sighting:
     not say whose they are. ``told`` is what the camera says of its robots, by their ids; ``misfits_m`` how far off
     their LEDs were found to be, one sigma, m, 0 where nothing is known yet. T_world_camera with its covariance (6, 6),
     m and rad about the world's axes: where the camera was.
+
+    By that, once for all exposures in which the frame counts: ``weighed`` (n, 3), the rays' covariances, none less than
+    centres are known at best; ``row_times`` (n,) s after the exposure, by a rolling shutter; ``spots`` (6,) by the
+    robots that the camera found, rows, -1 for LEDs not seen; ``tilts`` by those that it sees in two; and whether all
+    is settled, ``is_clear``: it tells where those robots are, and no other spot may be an LED.
     """
 
     view: View
@@ -43,11 +50,30 @@ class Sighting:
     leds: NDArray[np.int64]
     told: "dict[str, pb.RobotReport]"
     misfits_m: dict[str, float]
+    weighed: Floats = field(init=False)
+    row_times: Floats = field(init=False)
+    spots: dict[str, NDArray[np.int64]] = field(init=False)
+    tilts: dict[str, tuple[Pose, Pose]] = field(init=False)
+    is_clear: bool = field(init=False)
+    camera: str = field(init=False)
 
-    @property
-    def camera(self) -> str:
-        """The camera's name."""
-        return self.view.camera
+    def __post_init__(self) -> None:
+        owned = self.robots >= 0
+        labels = np.full((len(self.told), LEDS), -1)
+        labels[self.robots[owned], self.leds[owned]] = np.flatnonzero(owned)
+        seen = labels >= 0
+        spots = {robot: labels[k] for k, robot in enumerate(self.told) if seen[k].any()}
+        is_clear = bool(owned.all() or seen.all()) and all(self.told[robot].HasField("pose") for robot in spots)
+        object.__setattr__(self, "camera", self.view.camera)
+        object.__setattr__(self, "spots", spots)
+        object.__setattr__(
+            self,
+            "tilts",
+            {robot: _tilts(self.told[robot]) for robot in spots if self.told[robot].HasField("alternative")},
+        )
+        object.__setattr__(self, "is_clear", is_clear)
+        object.__setattr__(self, "weighed", _weighed(self))
+        object.__setattr__(self, "row_times", _row_times(self))
 
 
 def sighting_of(report: "pb.FrameReport", view: View) -> Sighting:
@@ -62,9 +88,10 @@ def sighting_of(report: "pb.FrameReport", view: View) -> Sighting:
     spots = report.spots
     columns = (spots.x, spots.y, spots.covariance_xx, spots.covariance_xy, spots.covariance_yy)
     fates = np.array(spots.fate, np.int64)
-    kept = np.flatnonzero(np.isin(fates, USABLE))
+    kept = np.flatnonzero((fates == LED) | (fates == UNEXPLAINED))
     numbers = [np.array(column, np.float64)[kept] for column in columns]
     centres, covariances = np.column_stack(numbers[:2]), np.column_stack(numbers[2:])
+    robots, leds = np.array(spots.robot, np.int64)[kept], np.array(spots.led, np.int64)[kept]
     rays, ray_covariances = np.empty_like(centres), np.empty_like(covariances)
     undistort(view.lens, centres, covariances, rays, ray_covariances)
     T_world_camera, place_covariance = view.T_world_camera, view.place_covariance
@@ -83,8 +110,8 @@ def sighting_of(report: "pb.FrameReport", view: View) -> Sighting:
         covariances_px2=covariances,
         rays=rays,
         ray_covariances=ray_covariances,
-        robots=np.array(spots.robot, np.int64)[kept],
-        leds=np.array(spots.led, np.int64)[kept],
+        robots=robots,
+        leds=leds,
         told={entry.id: entry for entry in report.robots},
         misfits_m=misfits,
     )
@@ -93,3 +120,22 @@ def sighting_of(report: "pb.FrameReport", view: View) -> Sighting:
 def _named(report: "pb.FrameReport") -> str:
     names = ", ".join(entry.id[:SHOWN] for entry in report.robots[:SHOWN])[: 5 * SHOWN]
     return "".join(char if char.isprintable() else "?" for char in names)
+
+
+def _weighed(sighting: Sighting) -> Floats:
+    lens = sighting.view.lens
+    out: Floats = sighting.ray_covariances + LEAST_SIGMA_PX**2 / (lens[FX] * lens[FY]) * np.array([1.0, 0.0, 1.0])
+    return out
+
+
+def _row_times(sighting: Sighting) -> Floats:
+    rig = sighting.view.rig
+    line_s = 1e-6 * rig.capture.line_time_us
+    if not line_s > 0.0:
+        return np.zeros(len(sighting.rays))
+    out: Floats = (sighting.centres_px[:, 1] - 0.5 * (rig.camera.height - 1)) * line_s
+    return out
+
+
+def _tilts(told: "pb.RobotReport") -> tuple[Pose, Pose]:
+    return report_pose(told.pose), report_pose(told.alternative.pose)

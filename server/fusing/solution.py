@@ -23,17 +23,15 @@ UNLIKE = math.cos(math.radians(2.5))  # half of an angle from which on two poses
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """A robot's pose T_world_robot by its `Wanted`: ``covariance`` (6, 6) as of a `FusedPose`, the part of it that is
-    ``noise`` (6, 6); chi squared of the residuals, ``cost``; ``residuals`` (n, 2), rays, of the ``cameras`` (n,) by
-    their numbers and the ``leds`` (n,), with the root mean square ``rms_px``. ``evidence`` for it over the
-    ``alternative``, nats.
+    """A robot's pose T_world_robot by its `Wanted`: ``covariance`` (6, 6) as of a `FusedPose`; chi squared of the
+    residuals, ``cost``; ``residuals`` (n, 2), rays, of the ``cameras`` (n,) by their numbers and the ``leds`` (n,),
+    with the root mean square ``rms_px``. ``evidence`` for it over the ``alternative``, nats.
     """
 
     wanted: Wanted
     rms_px: float
     pose: Pose
     covariance: Floats
-    noise: Floats
     cost: float
     residuals: Floats
     cameras: NDArray[np.int64]
@@ -69,7 +67,6 @@ def _solution(k: int, wanted: Wanted, rms_px: float, rows: slice, bundle: Bundle
         rms_px,
         Pose.from_matrix(poses.rotations[k], poses.ts[k]),
         poses.covariances[k],
-        poses.noise[k],
         float(poses.costs[k]),
         poses.residuals[rows],
         bundle.cameras[rows],

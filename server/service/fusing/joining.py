@@ -12,7 +12,7 @@ from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.codec import stamped, to_bytes
 from asterism.protocol.messages import Message
 from asterism.server.fusing.fleet import Fleet
-from asterism.server.fusing.fuse import fuse
+from asterism.server.fusing.fuse import solved
 from asterism.server.fusing.fused import Fused, FusedPose
 from asterism.server.fusing.memory import Joint
 from asterism.server.fusing.places import Places
@@ -167,13 +167,15 @@ class Joining:
         """One exposure: its poses, out at once, then all else."""
         fleet, clock = self.cameras.fleet, self._clock
         session, exposed_ns = clock.session, reports[0].exposed_ns
-        fused, self._joint = fuse([waiting.report.sighting for waiting in reports], fleet, self._joint)
+        line = solved([waiting.report.sighting for waiting in reports], fleet, self._joint)
+        fused = line.fused
         solved_ns = clock.now_ns(session)
         arrived_ns = clock.at_ns(max(waiting.arrived_ns for waiting in reports), session)
         clocks = {waiting.report.clock for waiting in reports}
         stamp = clocks.pop() if len(clocks) == 1 else pb.CLOCK_UNSPECIFIED
         told = Told(self._sequence, session, arrived_ns, solved_ns, stamp)
         out_ns = self._put(fused, fleet, told)
+        self._joint = line.memory()
         self.health.add(fused, (solved_ns - arrived_ns) * 1e-9, (out_ns - exposed_ns) * 1e-9)
         located = [robot for robot, answer in fused.answers.items() if isinstance(answer, FusedPose)]
         self._publisher.show_visible(located)
