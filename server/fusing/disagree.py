@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from asterism.protocol.geometry import Floats, log_rotation
 from asterism.server.fusing.fused import FusedPose
 from asterism.server.fusing.gather import Sight, Wanted
-from asterism.server.fusing.joint_solve import residuals_at
+from asterism.server.fusing.joint_rays import residuals_at
 from asterism.server.fusing.memory import Foresight
 from asterism.server.fusing.passed import passed_through
 from asterism.server.fusing.places import Misplaced

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from asterism.protocol.geometry import Floats
 from asterism.server.fusing.follow import ARM2, JERKS, UNKNOWN_RATES
 from asterism.server.fusing.gather import Sight
-from asterism.server.fusing.joint_solve import Bundle, Motion
+from asterism.server.fusing.joint_rays import Bundle, Motion
 from asterism.server.pose.fit import LEDS
 
 LONGEST_NS = 100_000_000  # from a camera's frame to the one before, to tell motion by

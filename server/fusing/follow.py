@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
-from asterism.server.fusing.joint_solve import linearize, work_room
+from asterism.server.fusing.joint_rays import linearize, work_room
 from asterism.server.pose.rotations import exp_into, product_into
 from asterism.server.pose.track import ACCELERATION, FORGET_NS, TURN_ACCELERATION, UNKNOWN_SPEED, UNKNOWN_TURN
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from asterism.protocol.geometry import Floats, Pose
 from asterism.server.fusing.fleet import Fleet
 from asterism.server.fusing.follow import ARM2, JERKS, UNKNOWN_RATES, Courses
-from asterism.server.fusing.joint_solve import Bodies, Bundle, Eyes, Motion, Poses
+from asterism.server.fusing.joint_rays import Bodies, Bundle, Eyes, Motion, Poses
 from asterism.server.fusing.sighting import Sighting
 from asterism.server.pose.lens import FX, FY
 from asterism.server.pose.matched import LEAST_SIGMA_PX

@@ -2,7 +2,7 @@
 
 Every camera's rays are fitted by themselves, so that cameras which contradict each other say nothing of LEDs. Of every
 sigma that there may be, the rays' likelihood with the pose taken out (restricted maximum likelihood: chi squared and
-the logarithms of both determinants, `joint_solve.Poses`) tells how likely it is; the mean of the variance over all of
+the logarithms of both determinants, `joint_rays.Poses`) tells how likely it is; the mean of the variance over all of
 them is taken, weighted by the size as well, as in `pose.systematic`. Errors of LEDs are the same in every frame and for
 every camera: many say hardly more of their size than one, so their likelihoods' logarithms are averaged, not summed.
 """

@@ -10,7 +10,7 @@ from asterism.protocol.geometry import Floats, Pose, exp_rotation
 from asterism.server.chain.answers import SURE
 from asterism.server.fusing.fused import FusedPose
 from asterism.server.fusing.gather import Sight, Wanted, motion_of
-from asterism.server.fusing.joint_solve import Motion, shared_motion
+from asterism.server.fusing.joint_rays import Motion, shared_motion
 from asterism.server.fusing.memory import Foresight
 from asterism.server.fusing.solution import solutions, tilt_squares
 from asterism.server.pose.choose import MOST_ODDS

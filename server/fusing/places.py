@@ -18,7 +18,7 @@ import numpy as np
 
 from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
-from asterism.server.fusing.joint_solve import linearize, work_room
+from asterism.server.fusing.joint_rays import linearize, work_room
 from asterism.server.pose.covariance import invert
 
 FORGET_S = 3.0

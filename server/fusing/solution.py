@@ -11,7 +11,8 @@ from asterism.protocol.geometry import Floats, Pose, log_rotation
 from asterism.server.chain.answers import SURE
 from asterism.server.fusing.fused import FusedPose
 from asterism.server.fusing.gather import Sight, Wanted
-from asterism.server.fusing.joint_solve import Bundle, Poses, solve_joint
+from asterism.server.fusing.joint_rays import Bundle, Poses
+from asterism.server.fusing.joint_solve import solve_joint
 from asterism.server.pose.choose import MOST_ODDS
 from asterism.server.pose.planar import NO_SOLUTION
 from asterism.server.pose.solve import Alternative
