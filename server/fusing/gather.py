@@ -69,7 +69,7 @@ class Sight:
             self.rays[rows],
             self.covariances[rows],
             numbers[group],
-            leds,
+            np.ascontiguousarray(leds),  # a column of what is found; kernels take whole arrays
             self.times[rows],
             robots,
             np.array([one.misfit_m for one in wanted]),

@@ -69,8 +69,8 @@ def sighting(
         covariances_px2=covariances,
         rays=found,
         ray_covariances=spreads,
-        robots=whose[:, 0],
-        leds=whose[:, 1],
+        robots=whose[:, 0].copy(),
+        leds=whose[:, 1].copy(),
         told=told,
         misfits_m=dict.fromkeys(told, seen.misfit_m),
     )

@@ -38,7 +38,6 @@ from tests.several import Drive, looking_at, rigs_at
 RATE_HZ = 60
 PERIOD_NS = round(1e9 / RATE_HZ)
 SOLVED_NS = 5_000_000  # from an exposure to its report, as a server has it
-DRAWN = 1500  # frames, played again and again
 SETTLING_S = 3.0
 TICKS = os.sysconf("SC_CLK_TCK")
 
@@ -101,7 +100,7 @@ class Player:
             k += 1
 
     def _tell(self, c: int, speaker: Speaker, k: int, exposed_ns: int) -> None:
-        payload = self._drawn[c][k % DRAWN]
+        payload = self._drawn[c][k % len(self._drawn[c])]
         now = to_bytes(pb.FrameReport(exposed_ns=exposed_ns, sequence=k, session=speaker.clock.session))
         speaker.publisher.publish([Message(keys.frame(speaker.name), FRAME_REPORT, payload + now, exposed_ns, 0, k)])
 
@@ -139,9 +138,9 @@ def run(speakers: list[Speaker], drawn: list[list[bytes]], staggered: bool, seco
     ]
 
 
-def film(speaker: Speaker, drive: Drive, later: float, rng: np.random.Generator) -> Iterator[bytes]:
+def film(speaker: Speaker, drive: Drive, later: float, count: int, rng: np.random.Generator) -> Iterator[bytes]:
     """A camera's reports of frames that are so much of a period later than the first camera's."""
-    for k in range(DRAWN):
+    for k in range(count):
         yield to_bytes(report_of(sighting(View(speaker.rig), drive((k + later) / RATE_HZ), 1, rng)))
 
 
@@ -150,13 +149,15 @@ def main(seconds: float = 20.0, cameras: int = 4, robots: int = 10) -> None:
     rng = np.random.default_rng(1)
     rigs = rigs_at(places(cameras), robots)
     drive = Drive(tuple(robot.id for robot in rigs[0].robots))
+    frames = round((SETTLING_S + seconds + 1.0) * RATE_HZ)
     with ExitStack() as stack:
         speakers = [Speaker(rig, rng) for rig in rigs]
         for speaker in speakers:
             stack.callback(speaker.close)
         table = Table("exposures", "p50", "p99", "most", "fuse p50", "fuse p99", "not joined", "processor")
         for staggered in (False, True):
-            drawn = [list(film(speaker, drive, c / cameras * staggered, rng)) for c, speaker in enumerate(speakers)]
+            later = [c / cameras * staggered for c in range(cameras)]
+            drawn = [list(film(one, drive, later[c], frames, rng)) for c, one in enumerate(speakers)]
             table.add_row(*run(speakers, drawn, staggered, seconds))
     Console(width=120).print(f"{cameras} cameras, {robots} robots, {RATE_HZ} Hz", table)
 
