@@ -239,8 +239,6 @@ def drawn(folder: Path, late_ns: int, frames: int = 240) -> None:
         for k in range(frames):
             seen = sighting(view, drive(k / 60), START_NS + k * STEP_NS + later_ns, rng)
             report = report_of(seen, sequence=k)
-            report.spots.radius.extend([2.0] * len(report.spots.x))
-            report.spots.brightness.extend([200.0] * len(report.spots.x))
             message = Message(keys.frame(rig.camera.name), FRAME_REPORT, to_bytes(report), report.exposed_ns, 0, k)
             recorder.write([message], None, report.exposed_ns, k)
         recorder.close({})

@@ -1,5 +1,6 @@
 """Fusing live and fusing recordings of the same reports is the same, to the bit."""
 
+import threading
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -34,12 +35,9 @@ class Hall:
         self.joining = Joining(self, SessionClock(), self.stop, (), "here")  # type: ignore[arg-type]
         tapes = tapes_of([recorded])
         self._exposures = exposures_of(tapes)
-        for tape in tapes:
-            self.joining.hear(Heard(0, tape.camera, "alive", None, time.monotonic_ns()))
-            self._hear(tape.camera, pb.FrameReport(exposed_ns=1))  # by which its session is known
-            answer = Answer(SESSION, "a test", (tape.camera,), view_of(tape.parts[0].recording.rig(), tape.camera))
-            self.joining.hear(Answers(tape.camera, (answer,)))
-        self._next()
+        self._views = {tape.camera: view_of(tape.parts[0].recording.rig(), tape.camera) for tape in tapes}
+        for camera in self._views:
+            self.joining.hear(Heard(0, camera, "alive", None, time.monotonic_ns()))
 
     def put(self, message: Message) -> None:
         if message.kind is FRAME_REPORT:
@@ -52,8 +50,15 @@ class Hall:
     def show_visible(self, _: object) -> None:
         pass
 
-    def ask(self, *_: object) -> None:
-        pass
+    def ask(self, _: int, camera: str, *__: object) -> None:
+        """Asked for a rig: after all have answered the exposures begin."""
+        view = self._views.pop(camera, None)
+        if view is None:
+            return
+        self._hear(camera, pb.FrameReport(exposed_ns=1))  # by which its session is known
+        self.joining.hear(Answers(camera, (Answer(SESSION, "a test", (camera,), view),)))
+        if not self._views:
+            self._next()
 
     def _next(self) -> None:
         exposure = next(self._exposures, None)
@@ -71,7 +76,10 @@ class Hall:
 
 def test_live_and_from_recordings_is_the_same(recorded: Path, tmp_path: Path) -> None:
     hall = Hall(recorded)
+    given_up = threading.Timer(60.0, hall.stop.set)
+    given_up.start()
     hall.joining.run(hall)  # type: ignore[arg-type]
+    given_up.cancel()
     assert main(["fuse", str(recorded), "--record", str(tmp_path)]) == 0
     offline = list(reports(Recording(next(tmp_path.glob("fused-*")))))
     assert [report.exposed_ns for report in hall.told] == [report.exposed_ns for report in offline]
