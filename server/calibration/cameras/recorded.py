@@ -12,9 +12,9 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.messages import FRAME_REPORT
 from asterism.protocol.rig import Rig, Robot
 from asterism.recordings.reader import Recording
+from asterism.server.calibration.cameras.start import WITHIN_S
 from asterism.server.calibration.cameras.views import Seen, views_of
 
-WITHIN_S = 5.0  # as far as clocks may be apart
 EPOCH_S = 1e8  # times before are a film's own, from 0 on
 
 
