@@ -16,7 +16,7 @@ from asterism.server.chain.world import Following
 from asterism.server.pose.courses import Courses
 from asterism.server.pose.track import EVIDENCE, KNOWN, LOG_SUM, NEWEST, Tracks
 
-# Steps are powers of two, so that what is rounded stays as it is.
+# Steps are powers of two, which floating-point numbers hold exactly.
 TURN = 2.0**22  # a step of a rotation matrix: 2.4e-7
 WAY = 2.0**24  # and of a position: 6e-8 m
 PACE = 2.0**16  # of velocities and turns: 1.5e-5 m/s and rad/s
@@ -39,7 +39,7 @@ def learned_at(tracks: Tracks, exposed_ns: int) -> Floats:
 
 
 def forgetful(tracks: Tracks) -> Tracks:
-    """The same tracks, rounded; those that are rounded are left as they are."""
+    """The same tracks, rounded. Writes into their ``misfits``: they must be a copy."""
     misfits = tracks.misfits
     misfits[:, NEWEST] = _shares(misfits[:, NEWEST])
     misfits[:, LOG_SUM] = _steps(misfits[:, LOG_SUM], SUM)
@@ -93,11 +93,13 @@ def _courses(courses: Courses) -> Courses:
         return courses
     covariances = courses.covariances.copy()
     covariances[known] = _covariances(covariances[known])
+    weights = _steps(courses.weights, LIKELY)
+    weights[known] /= weights[known].sum(axis=1, keepdims=True)
     return Courses(
         courses.seen_ns,
         _rotations(courses.rotations),
         _steps(courses.ts, WAY),
         _steps(courses.rates, PACE),
         covariances,
-        _steps(courses.weights, LIKELY),
+        weights,
     )

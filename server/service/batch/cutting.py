@@ -19,7 +19,12 @@ WHOLE: list[Piece] = [(0, None)]
 def cuts(
     lengths: Sequence[int | None], places: Sequence[int | None], rates_hz: Sequence[float], cores: int
 ) -> list[list[Piece]]:
-    """The pieces of every film; ``lengths`` in frames, ``places`` where it can begin anywhere, else None."""
+    """The pieces of every film; ``lengths`` in frames, ``places`` where it can begin anywhere, else None.
+
+    One core alone gains nothing by cutting.
+    """
+    if cores == 1:
+        return [WHOLE for _ in lengths]
     share = max(sum(length or 0 for length in lengths) / (PIECES * cores), 1.0)
     return [_pieces(held, rate_hz, share) for held, rate_hz in zip(places, rates_hz, strict=True)]
 

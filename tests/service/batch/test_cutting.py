@@ -135,6 +135,7 @@ def test_only_films_that_are_long_and_can_begin_anywhere_are_cut() -> None:
     least = round(LEAST_S * 60)
     assert cuts([9 * least], [None], [60.0], 2) == [WHOLE]
     assert cuts([least], [least], [60.0], 8) == [WHOLE]
+    assert cuts([9 * least], [9 * least], [60.0], 1) == [WHOLE]
     (pieces,) = cuts([9 * least], [9 * least], [60.0], 2)
     assert len(pieces) == 4
     assert pieces[0][0] == 0
