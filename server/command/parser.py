@@ -28,7 +28,7 @@ COMMANDS = {
     "recover": "make a recording that was cut off readable again",
     "example": "a folder to try everything in without hardware, with a README.md to follow",
     "simulate": "frames of simulated robots, with truth",
-    "calibrate": "camera, LED positions, world of one or more, LED offset, Z, a tool's tip: find and remove what is off",
+    "calibrate": "camera, LED positions, world of one or more, LED offset, Z, a tool's tip: find, remove what is off",
     "board": "a calibration board to print, true to scale",
     "report": "the error budget of a rig and its workspace, with plots",
     "design": "constellations that cannot be confused, with a drill plan",
