@@ -242,7 +242,11 @@ def _pose(section: Section, what: str) -> Pose:
 
 def _fixed(section: Section, T_world_camera: Pose | None) -> Pose:
     if T_world_camera is None:
-        raise section.error(None, "needs the rig's `world`, the pose of the camera in the world")
+        raise section.error(
+            None,
+            "needs the rig's `world`, the pose of the camera in the world; roughly will do until asterism calibrate "
+            "world --fixed (one camera) or calibrate cameras (several) has found it",
+        )
     section.only(("position", "orientation"), WORLD_WORDS)
     return _pose(section, "x, y, z of the constellation in the world, m")
 

@@ -88,7 +88,8 @@ def new_file(path: Path, force: bool, keep: bool = False) -> Iterator[Output]:
     check_file(path, force)
     real = path.resolve()
     if real.exists() and not real.is_file():
-        yield Output(path)
+        with _world_errors(path, path):  # such as /dev/full
+            yield Output(path)
         return
     output = Output(real.with_name(real.name + PARTIAL))
     try:

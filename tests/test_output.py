@@ -183,3 +183,9 @@ def test_a_link_is_followed_not_replaced(tmp_path: Path) -> None:
     assert write(tmp_path / "link", "two", force=True) == tmp_path / "data" / "real.old-1"
     assert (tmp_path / "link").is_symlink()
     assert (tmp_path / "data" / "real").read_text() == "two"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+def test_a_device_that_takes_nothing_is_named() -> None:
+    with pytest.raises(WorldError, match=r"^/dev/full: cannot be written \(No space left on device\)$"):
+        write(Path("/dev/full"), "a")

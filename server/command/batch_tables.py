@@ -3,6 +3,7 @@
 from rich.console import Console
 from rich.table import Table
 
+from asterism.protocol.two_digits import two_digits
 from asterism.server.service.batch.comparing import TOLERANCES
 from asterism.server.service.batch.folder import Outcome, Result
 from asterism.server.service.batch.outcome import Changes
@@ -67,7 +68,7 @@ def print_changes(changes: dict[str, Changes], title: str, tolerances: tuple[flo
             if robot.is_none:
                 continue
             shares = [f"{count / max(robot.frames, 1):.1%}" for count in (robot.found_before, robot.found)]
-            most = [f"{1e3 * robot.most_m:.2g}", f"{57.29578 * robot.most_rad:.2g}"]
+            most = [two_digits(1e3 * robot.most_m), two_digits(57.29578 * robot.most_rad)]
             table.add_row(head, _short(robot_id, 12), *shares, str(robot.other_state), str(robot.beyond), *most)
             head = ""
     console.print(f"{title}:", highlight=False, markup=False)

@@ -25,6 +25,10 @@ EXAMPLES = (
 )
 
 BY = "calibrate cameras"
+NEXT = (
+    "recordings keep the rig they were made with: for poses by the new ones let every server read its own (asterism "
+    "reload), or take its film again (asterism locate RIG FILM --record DIR)"
+)
 CLEARLY_OFF = 5.0  # sigmas of a clock's offset, from which on it is said how to take it off,
 OFF_S = 5e-5  # and s
 LED_OFF_M = 5e-6  # of a robot's LEDs, from which on it is said
@@ -76,6 +80,7 @@ def run(options: argparse.Namespace) -> int:
     known = [PlaceError(turn @ placed.covariance @ turn.T, by) for placed in fit.cameras]
     for line in write_placed(pairs, fit, list(zip(places, known, strict=True)), options.out, options.force):
         print(line)
+    print(NEXT)
     return 0
 
 

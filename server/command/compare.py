@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from asterism.protocol.errors import InputError
+from asterism.protocol.two_digits import two_digits
 from asterism.recordings.compare import compare, percentile
 from asterism.recordings.reader import Recording
 from asterism.server.command.batch_tables import print_changes
@@ -92,4 +93,4 @@ def _compare_batches(options: argparse.Namespace) -> int:
 
 def _cell(value: float) -> str:
     """A difference; one that is nothing in mm, degrees and px takes no room."""
-    return "<1e-6" if 0.0 < value < 1e-6 else f"{value:.2g}"
+    return "<1e-6" if 0.0 < value < 1e-6 else two_digits(value)

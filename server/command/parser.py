@@ -28,7 +28,7 @@ COMMANDS = {
     "recover": "make a recording that was cut off readable again",
     "example": "a folder to try everything in without hardware, with a README.md to follow",
     "simulate": "frames of simulated robots, with truth",
-    "calibrate": "camera, LED positions, world, LED offset, Z, a tool's tip: find what is off and remove it",
+    "calibrate": "camera, LED positions, world of one or more, LED offset, Z, a tool's tip: find, remove what is off",
     "board": "a calibration board to print, true to scale",
     "report": "the error budget of a rig and its workspace, with plots",
     "design": "constellations that cannot be confused, with a drill plan",
@@ -74,7 +74,7 @@ def module_of(command: str) -> ModuleType:
 
 def parser(words: list[str] | None = None) -> Parser:
     """What reads the command line ``words``: the commands that they name have their arguments; without words, all."""
-    whole = Parser(prog="asterism", description="One camera, several robots with six LEDs each.")
+    whole = Parser(prog="asterism", description="Fixed cameras, several robots with six LEDs each.")
     whole.examples = EXAMPLES
     whole.add_argument("--version", action="version", version=f"asterism {__version__}")
     add_commands(whole, COMMANDS, "", words)

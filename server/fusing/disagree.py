@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.protocol.geometry import Floats, Pose, log_rotation
+from asterism.protocol.two_digits import two_digits
 from asterism.server.fusing.fused import FusedPose
 from asterism.server.fusing.gather import Sight, Wanted
 from asterism.server.fusing.joint_rays import residuals_at
@@ -130,8 +131,8 @@ def off_of(cameras: list[str], spots: Spots, found: Solution, sight: Sight) -> d
         depth_m = float((sight.eyes.rotations[k] @ found.pose.position + sight.eyes.ts[k])[2])
         others = " and ".join(sorted(found.wanted.spots))
         said[camera] = (
-            f"its spots are {1e3 * off * depth_m:.2g} mm ({off * sight.focal_px[k]:.2g} px) from where {others} "
-            f"{'has' if len(found.wanted.spots) == 1 else 'have'} the robot: {ADVICE}"
+            f"its spots are {two_digits(1e3 * off * depth_m)} mm ({two_digits(off * sight.focal_px[k])} px) from where "
+            f"{others} {'has' if len(found.wanted.spots) == 1 else 'have'} the robot: {ADVICE}"
         )
     return said
 
@@ -145,6 +146,6 @@ def _residuals(wanted: Wanted, sight: Sight) -> Floats:
 def misplaced_text(found: Misplaced) -> str:
     """A sentence about a camera that is not where its rig says."""
     return (
-        f"the camera is off by {1e3 * found.off_m:.2g} mm and {math.degrees(found.off_rad):.2g} degrees, by the robots "
-        f"that others see as well: {ADVICE}"
+        f"the camera is off by {two_digits(1e3 * found.off_m)} mm and {two_digits(math.degrees(found.off_rad))} "
+        f"degrees, by the robots that others see as well: {ADVICE}"
     )

@@ -78,6 +78,7 @@ def test_every_rig_is_written_again(films: Films, tmp_path: Path, capsys: pytest
         assert "# by the eye" in text
         assert load_rig(out / before.name).camera.name == before.stem
     told = capsys.readouterr().out
+    assert "recordings keep the rig they were made with" in told
     assert "the world is that of left's rig, whose camera stays where it is" in told
     assert re.search(r"third's clock is (19\.[89]|20\.[012])\d+ \+- 0\.0\d+ ms ahead of left's", told)
     assert re.search(r"capture: \{delay_us: (19[89]|20[012])\d\d\} in its rig takes that off", told)

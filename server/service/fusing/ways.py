@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism.protocol import asterism_pb2 as pb
+from asterism.protocol.two_digits import two_digits
 from asterism.server.fusing.clocks import ClockFit, Way, clock_between
 
 KEPT_S = 8.0  # the newest of every way
@@ -135,8 +136,8 @@ def told_of_times(ways: Ways, period_s: float) -> list[str]:
     """What is wrong with the cameras' times, in sentences."""
     return [
         f"robots on the move show that the times of {one.first} and {one.second} differ by "
-        f"{1e3 * abs(one.offset_s):.1f} ms ({1e3 * one.moved_m:.2g} mm of way): is chrony or PTP running on both "
-        "hosts, is capture.delay_us right in both rigs? docs/many.md"
+        f"{1e3 * abs(one.offset_s):.1f} ms ({two_digits(1e3 * one.moved_m)} mm of way): is chrony or PTP running on "
+        "both hosts, is capture.delay_us right in both rigs? docs/many.md"
         for one in ways.found()
         if one.matters(period_s)
     ]
