@@ -42,8 +42,9 @@ def sorted_out(found: Solution, sight: Sight, scale: float, before: Foresight) -
     the camera that does; of two cameras that contradict each other on the more certain one, without a solution.
     """
     whole = found.wanted.spots
-    if is_surprising(found.cost / scale, found.freedom):
-        found = _without_a_spot(found, sight, scale) or _without_cameras(found, sight, scale)
+    if not is_surprising(found.cost / scale, found.freedom):
+        return told(found, scale, {}), found
+    found = _without_a_spot(found, sight, scale) or _without_cameras(found, sight, scale)
     if is_surprising(found.cost / scale, found.freedom) and len(found.wanted.spots) == 2:
         rather = _rather_one(found, sight, before, whole)
         if rather is not None:

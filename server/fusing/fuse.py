@@ -117,7 +117,9 @@ class Line:
     def _wanted(self, claim: Claim) -> Wanted:
         """The claim without cameras that are misplaced, if others see the robot."""
         known = self.known.get(claim.robot, Known())
-        spots = {name: of for name, of in claim.spots.items() if name not in self.places.misplaced}
+        spots = claim.spots
+        if self.places.misplaced:
+            spots = {name: of for name, of in spots.items() if name not in self.places.misplaced}
         return Wanted(claim.robot, spots or claim.spots, claim.starts[0], known.misfit_m)
 
     def _pass(self, wanted: Wanted, claim: Claim) -> None:
@@ -137,9 +139,11 @@ class Line:
             wanted = replace(wanted, misfit_m=known.misfit_m)
             (found,) = solutions([wanted], self.sight)
         starts = claim.starts if found is None else [one for one in claim.starts if are_unlike(one, found.pose)]
-        others = [replace(wanted, start=start) for start in unlike_starts(starts)]
-        tried = [found, *solutions(others, self.sight)]
-        best = likelier(tried, self._leaning(tried, known))
+        best = found
+        if starts:
+            others = [replace(wanted, start=start) for start in unlike_starts(starts)]
+            tried = [found, *solutions(others, self.sight)]
+            best = likelier(tried, self._leaning(tried, known))
         if best is None:
             return
         told, rests = sorted_out(best, self.sight, _scale(known), self.foresight)
