@@ -16,7 +16,7 @@ from asterism.protocol.codec import encode_rig, to_bytes
 from asterism.protocol.geometry import Pose
 from asterism.protocol.messages import FRAME_REPORT, Message
 from asterism.protocol.rig import load_rig
-from asterism.recordings.compare import reports
+from asterism.recordings.compare import compare, reports
 from asterism.recordings.reader import Recording
 from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.server.__main__ import main
@@ -124,6 +124,10 @@ def test_every_exposure_of_any_camera_is_a_line_in_the_order_of_time(recorded: P
     kept = [(report.exposed_ns, [list(robot.cameras) for robot in report.robots]) for report in reports(fused)]
     assert kept == [(line["exposed_ns"], [robot["cameras"] for robot in line["robots"]]) for line in told]
     assert [robot.id for robot in fused.rig().robots] == ["r00"]
+    # Beside a camera's own poses, by their times.
+    beside = compare(Recording(right), fused)
+    assert beside.frames_only_a == 0
+    assert 0.0 < max(beside.robots["r00"].position_m) < 0.003
     # What was joined before is not joined again.
     for folder in (left, right, fused.path):
         shutil.copytree(folder, tmp_path / "all" / folder.name)
