@@ -61,14 +61,17 @@ def reports(recording: Recording) -> Iterator["pb.FrameReport"]:
 
 
 def compare(a: Recording, b: Recording) -> Comparison:
-    """Compare frame by frame; frames belong together by their sequence number."""
-    of_a = {report.sequence: report for report in reports(a)}
-    of_b = {report.sequence: report for report in reports(b)}
+    """Compare frame by frame; frames belong together by their sequence number, of two cameras (one of them may be what
+    `asterism fuse` joined) by their time: cameras count their frames each for itself.
+    """
+    key = "sequence" if a.rig().camera.name == b.rig().camera.name else "exposed_ns"
+    of_a = {getattr(report, key): report for report in reports(a)}
+    of_b = {getattr(report, key): report for report in reports(b)}
     robots: dict[str, Difference] = {}
     both = sorted(of_a.keys() & of_b.keys())
-    for sequence in both:
-        there = {robot.id: robot for robot in of_b[sequence].robots}
-        here = {robot.id: robot for robot in of_a[sequence].robots}
+    for frame in both:
+        there = {robot.id: robot for robot in of_b[frame].robots}
+        here = {robot.id: robot for robot in of_a[frame].robots}
         for robot_id in sorted(here.keys() | there.keys()):
             difference = robots.setdefault(robot_id, Difference(robot_id))
             _compare_robot(difference, here.get(robot_id), there.get(robot_id))

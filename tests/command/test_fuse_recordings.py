@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from asterism.protocol import keys
-from asterism.protocol.codec import encode_rig, to_bytes
+from asterism.protocol.codec import encode_rig, report_pose, to_bytes
 from asterism.protocol.geometry import Pose
 from asterism.protocol.messages import FRAME_REPORT, Message
 from asterism.protocol.rig import load_rig
-from asterism.recordings.compare import reports
+from asterism.recordings.compare import compare, reports
 from asterism.recordings.reader import Recording
 from asterism.recordings.recorder import FramesKept, Recorder
 from asterism.server.__main__ import main
@@ -124,6 +124,13 @@ def test_every_exposure_of_any_camera_is_a_line_in_the_order_of_time(recorded: P
     kept = [(report.exposed_ns, [list(robot.cameras) for robot in report.robots]) for report in reports(fused)]
     assert kept == [(line["exposed_ns"], [robot["cameras"] for robot in line["robots"]]) for line in told]
     assert [robot.id for robot in fused.rig().robots] == ["r00"]
+    # Beside a camera's own poses, by their times.
+    own, joined = (
+        {report.exposed_ns: report_pose(report.robots[0].pose).position for report in reports(of)}
+        for of in (Recording(right), fused)
+    )
+    beside = compare(Recording(right), fused).robots["r00"].position_m
+    assert beside == pytest.approx([np.linalg.norm(own[ns] - joined[ns]) for ns in sorted(own)])
     # What was joined before is not joined again.
     for folder in (left, right, fused.path):
         shutil.copytree(folder, tmp_path / "all" / folder.name)
