@@ -37,15 +37,21 @@ def is_surprising(chi2: float, freedom: int) -> bool:
     return chi2 > freedom * (1.0 - spread + SURPRISE * math.sqrt(spread)) ** 3
 
 
-def sorted_out(found: Solution, sight: Sight, scale: float, before: Foresight) -> tuple[FusedPose, Solution | None]:
+def sorted_out(
+    found: Solution, sight: Sight, scale: float, before: Foresight, are_apart: bool
+) -> tuple[FusedPose, Solution | None]:
     """The pose of a robot whose rays may contradict each other, and the solution that it rests on: without the spot or
     the camera that does; of two cameras that contradict each other on the more certain one, without a solution.
+
+    ``are_apart``: of the only two cameras frames before have told that they do, even where this one does not show it.
     """
     whole = found.wanted.spots
-    if not is_surprising(found.cost / scale, found.freedom):
+    are_apart = are_apart and len(whole) == 2
+    if not is_surprising(found.cost / scale, found.freedom) and not are_apart:
         return told(found, scale, {}), found
-    found = _without_a_spot(found, sight, scale) or _without_cameras(found, sight, scale)
-    if is_surprising(found.cost / scale, found.freedom) and len(found.wanted.spots) == 2:
+    if not are_apart:
+        found = _without_a_spot(found, sight, scale) or _without_cameras(found, sight, scale)
+    if len(found.wanted.spots) == 2 and (are_apart or is_surprising(found.cost / scale, found.freedom)):
         rather = _rather_one(found, sight, before, whole)
         if rather is not None:
             return rather, None

@@ -146,7 +146,7 @@ class Line:
             best = likelier(tried, self._leaning(tried, known))
         if best is None:
             return
-        told, rests = sorted_out(best, self.sight, _scale(known), self.foresight)
+        told, rests = sorted_out(best, self.sight, _scale(known), self.foresight, self.places.apart is not None)
         self.surprised |= bool(told.left_out) or rests is None or is_surprising(rests.cost, rests.freedom)
         self._tell(wanted.robot, self._with_misplaced(told, claim, rests), rests, best.evidence)
 
@@ -195,7 +195,7 @@ class Line:
             if len(self.spots[robot]) > 1
         ]
         sight, places = self.sight, self.places
-        if len(sight.names) < 3 or not wanted or abs(sight.exposed_ns - places.at_ns) < COMPARED_NS:
+        if len(sight.names) < 2 or not wanted or abs(sight.exposed_ns - places.at_ns) < COMPARED_NS:
             return places
         places = places.later(sight.names, sight.exposed_ns)
         bundle, motion, poses = sight.bundle(wanted)

@@ -12,7 +12,9 @@ from asterism.server.fusing.follow import Courses, foresee_poses
 from asterism.server.fusing.places import Places
 from asterism.server.fusing.sighting import Sighting
 
-KEPT = 5  # newest intervals between frames of a camera: their middle one is its frame period
+KEPT = 9  # newest intervals between frames of a camera, ...
+PERIOD = 1  # ... of which, the least being 0, this one is its frame period: the others may be of frames that are lost
+LONGEST_NS = 300_000_000  # after which no motion says where a robot is, however slow the camera is
 UNKNOWN_PERIOD_NS = 33_400_000  # of a camera seen once whose rig tells no rate
 LITTLE = 0.25  # of a frame period, by which the newest frame may be older
 
@@ -30,7 +32,7 @@ class Pace:
 
     def _period_ns(self) -> float:
         if self.intervals_ns:
-            return float(sorted(self.intervals_ns)[(len(self.intervals_ns) - 1) // 2])
+            return float(sorted(self.intervals_ns)[min(PERIOD, len(self.intervals_ns) - 1)])
         rate = self.newest.view.rig.capture.rate_hz
         return 1e9 / rate if rate is not None else UNKNOWN_PERIOD_NS
 
@@ -43,7 +45,7 @@ class Pace:
 
     def counts_at(self, exposed_ns: int) -> bool:
         """Whether the newest frame still counts at that exposure."""
-        return abs(exposed_ns - self.newest.exposed_ns) <= (1.0 + LITTLE) * self.period_ns
+        return abs(exposed_ns - self.newest.exposed_ns) <= min((1.0 + LITTLE) * self.period_ns, LONGEST_NS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,8 @@ robot's pose, D_c those by the camera's place, W the rays' information and r the
 
 with N = sum J_c' W J_c, normal equations of how far all cameras are off. Sums over robots and exposures, slowly
 forgotten, see what the noise of one exposure hides. Camera c alone is off by M_cc^-1 b_c, which lowers chi squared by
-b_c' M_cc^-1 b_c: the camera that explains nearly all is to blame, if no other does.
+b_c' M_cc^-1 b_c: the camera that explains nearly all is to blame, if no other does. Of two cameras
+nobody can know which.
 """
 
 import math
@@ -22,7 +23,8 @@ from asterism.server.fusing.joint_rays import linearize, work_room
 from asterism.server.pose.covariance import invert
 
 FORGET_S = 3.0
-LEAST_S = 0.5  # of exposures, before anything is said
+LEAST_S = 0.5  # of exposures, before a camera is blamed, ...
+LEAST_APART_S = 0.1  # ... and before two are told to be apart: poses of both would be too sure of themselves
 OFF, AGREES = 60.0, 20.0  # chi squared, six degrees of freedom, from which a camera is off, and below which it is not
 BLAMED = 4.0  # times what it leaves unexplained every other leaves, before a camera is to blame
 STEADY = 1e-9
@@ -43,7 +45,7 @@ class Misplaced:
 class Places:
     """``normal`` (6 c, 6 c) and ``right`` (6 c,) as above, of ``cameras`` in this order, at ``at_ns``; ``seconds`` of
     exposures are in them, and which share of the rays' variances ``stays`` from frame to frame. ``misplaced`` are
-    cameras found to be off.
+    cameras found to be off; ``apart`` is how far two cameras, where there are no more, are off against each other.
     """
 
     cameras: tuple[str, ...] = ()
@@ -54,6 +56,7 @@ class Places:
     seconds: float = 0.0
     at_ns: int = 0
     misplaced: Mapping[str, Misplaced] = field(default_factory=dict)
+    apart: Misplaced | None = None
 
     def later(self, cameras: Sequence[str], exposed_ns: int) -> "Places":
         """The same at an exposure, with what is forgotten by then; of other cameras than before nothing is known."""
@@ -129,8 +132,12 @@ def judged(places: Places, covariances: Floats, robots: int) -> Places:
     places as their rigs tell them.
     """
     c = len(places.cameras)
-    if c < 3 or places.seconds < LEAST_S:
+    if places.seconds < (LEAST_S if c > 2 else LEAST_APART_S):
         return places
+    if c == 2:
+        move, score, _ = _alone(places, 0, covariances, robots)
+        found = Misplaced(_length(move[:3]), _length(move[3:]), places.at_ns)
+        return replace(places, apart=found if score > (AGREES if places.apart else OFF) else None)
     alone = [_alone(places, k, covariances, robots) for k in range(c)]
     misplaced = dict(places.misplaced)
     for name, (move, score, _) in zip(places.cameras, alone, strict=True):
