@@ -81,6 +81,7 @@ class Line:
         self.places: Places = joint.places
         self.spots: dict[str, Spots] = {}
         self._claims = claims
+        self._joined: list[Wanted] = []
         self._solve([claim for claim in claims.values() if isinstance(claim, Claim)])
 
     @property
@@ -98,7 +99,17 @@ class Line:
         exposed_ns, films = self.sight.exposed_ns, films_of(self.cameras, self.spots, self.sight)
         after = self.joint.then(exposed_ns, self._followed(films))
         kept = {**self.joint.films, **_longer(self.joint.films, films)}
-        return replace(after, known=self.known, places=self._compared(), films=kept)
+        return replace(after, known=self._known_after(), places=self._compared(), films=kept)
+
+    def _known_after(self) -> dict[str, Known]:
+        """What is known of the robots, once the LEDs of one whose turn it is were looked at again."""
+        due = [wanted for wanted in self._joined if is_due(self.known[wanted.robot], self.sight.exposed_ns)]
+        if not due:
+            return self.known
+        wanted = min(due, key=lambda one: self.known[one.robot].misfit_ns)
+        start = self.answers[wanted.robot].pose
+        again = looked_at(replace(wanted, start=start), self.sight, self.known[wanted.robot])
+        return {**self.known, wanted.robot: again}
 
     def _solve(self, claims: Sequence[Claim]) -> None:
         """Answer for all robots that have spots."""
@@ -133,11 +144,12 @@ class Line:
 
     def _join(self, wanted: Wanted, claim: Claim, found: Solution | None) -> None:
         known = self.known.get(wanted.robot, Known())
-        if is_due(known, self.sight.exposed_ns):
+        if not known.misfit_ns:
             start = wanted.start if found is None else found.pose
             known = self.known[wanted.robot] = looked_at(replace(wanted, start=start), self.sight, known)
             wanted = replace(wanted, misfit_m=known.misfit_m)
             (found,) = solutions([wanted], self.sight)
+        self._joined.append(wanted)
         starts = claim.starts if found is None else [one for one in claim.starts if are_unlike(one, found.pose)]
         best = found
         if starts:
