@@ -73,6 +73,28 @@ def test_of_two_the_covariance_is_honest_whichever_is_wrong(rng: np.random.Gener
     assert np.mean(nees) < 8.0
 
 
+def test_two_that_are_apart_by_less_than_a_frame_can_show_are_not_trusted_together(rng: np.random.Generator) -> None:
+    nees = []
+    for seed in range(3):
+        film = Film(facing_pair(), moved={"right": 0.2 * OFF}, seed=seed, own=True)
+        for line, (fused, true, joint) in enumerate(film.lines(40, rng)):
+            if line < 15:
+                continue
+            assert joint.places.apart is not None
+            for robot, answer in fused.answers.items():
+                assert isinstance(answer, FusedPose)
+                assert len(answer.cameras) == len(answer.left_out) == 1
+                nees.append(error_of(answer, true[robot])[1])
+    assert max(nees) < 40.0
+    assert np.mean(nees) < 8.0
+
+
+def test_two_that_agree_stay_joined(rng: np.random.Generator) -> None:
+    for fused, _, joint in Film(facing_pair()).lines(60, rng):
+        assert joint.places.apart is None
+        assert all(isinstance(answer, FusedPose) and len(answer.cameras) == 2 for answer in fused.answers.values())
+
+
 def test_leds_that_are_off_leave_no_camera_out_and_poses_honest(rng: np.random.Generator) -> None:
     nees = []
     for seed in range(12):

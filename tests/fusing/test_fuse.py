@@ -7,7 +7,7 @@ from asterism.protocol.geometry import Floats, Pose, log_rotation
 from asterism.server.fusing.fleet import Fleet, View
 from asterism.server.fusing.fuse import fuse
 from asterism.server.fusing.fused import FusedPose
-from asterism.server.fusing.memory import Joint
+from asterism.server.fusing.memory import Joint, Pace
 from asterism.server.pose.place import moved
 from tests.fusing.drawn import Seen, moved_world, sighting
 from tests.helpers import assert_poses_close, random_pose
@@ -123,3 +123,14 @@ def test_what_is_not_known_of_places_is_in_the_covariance(rng: np.random.Generat
         fused, _ = fuse(seen, fleet, Joint.none())
         nees += [off(fused.answers[robot], poses[robot])[1] for robot in ROBOTS]
     assert 5.0 < np.mean(nees) < 7.0
+
+
+def test_frames_that_are_lost_do_not_make_old_rays_count(fleet: Fleet, rng: np.random.Generator) -> None:
+    period, poses = 16_666_667, drive(0.0)
+    lost = [0, 1, 2, 10, 22, 23, 33, 41, 52, 53]  # of which frames there are
+    pace = Pace(sighting(fleet.views["left"], poses, NOW, rng))
+    for k in lost[1:]:
+        pace = pace.followed_by(sighting(fleet.views["left"], poses, NOW + k * period, rng))
+    newest = NOW + lost[-1] * period
+    assert pace.counts_at(newest + period)
+    assert not pace.counts_at(newest + 2 * period)
