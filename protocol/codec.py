@@ -230,12 +230,19 @@ def set_report_pose(target: "pb.Pose", pose: Pose) -> None:
 
 
 def report_pose(message: "pb.Pose") -> Pose:
-    """The pose in a report. Raises InputError for one that is none: not finite, beyond everything, or no rotation."""
+    """The pose in a report. Raises InputError as `check_report_pose` does."""
+    check_report_pose(message)
     p, q = message.position, message.orientation
-    length = math.hypot(q.x, q.y, q.z, q.w)
-    if not (abs(length - 1.0) <= UNIT and all(abs(v) <= _FARTHEST_M for v in (p.x, p.y, p.z))):
-        raise InputError(f"a pose at {p.x:g}, {p.y:g}, {p.z:g} m, its quaternion of length {length:.3g}, is none")
     return Pose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
+
+
+def check_report_pose(message: "pb.Pose") -> None:
+    """Raises InputError for a pose that is none: not finite, beyond everything, or no rotation."""
+    p, q = message.position, message.orientation
+    x, y, z, length = p.x, p.y, p.z, math.hypot(q.x, q.y, q.z, q.w)
+    near = abs(x) <= _FARTHEST_M and abs(y) <= _FARTHEST_M and abs(z) <= _FARTHEST_M
+    if not (near and abs(length - 1.0) <= UNIT):
+        raise InputError(f"a pose at {x:g}, {y:g}, {z:g} m, its quaternion of length {length:.3g}, is none")
 
 
 def decode_event(payload: bytes) -> "pb.Event":

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.protocol import asterism_pb2 as pb
-from asterism.protocol.codec import report_pose
+from asterism.protocol.codec import check_report_pose
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import Fate
@@ -30,7 +30,7 @@ def refuse_impossible(report: "pb.FrameReport", view: View) -> None:
         raise InputError(f"{where} is of {report.exposed_ns} ns, expected a time since 1970")
     spots_of = _spots_of_robots(report, view, where)
     if report.HasField("camera"):
-        report_pose(report.camera.pose)
+        check_report_pose(report.camera.pose)
         covariance_of(report.camera.covariance, f"{where}: the camera's place", 0.0)
     misfits = np.array(report.learned.led_misfit, np.float64)
     if not np.all((misfits >= 0.0) & (misfits <= MOST_MISFIT_M)):
@@ -80,7 +80,8 @@ def _spots_of_robots(report: "pb.FrameReport", view: View, where: str) -> NDArra
     if not np.all(inside):
         raise InputError(f"{where} has spots outside its image of {camera.width}x{camera.height}")
     known = (np.minimum(xx, yy) >= LEAST_PX2) & (np.maximum(xx, yy) <= MOST_PX2) & (np.abs(xy) <= 1e-3 * MOST_PX2)
-    used = np.isin(np.array(spots.fate, np.int64), (int(Fate.LED), int(Fate.UNEXPLAINED)))
+    fates = np.array(spots.fate, np.int64)
+    used = (fates == Fate.LED) | (fates == Fate.UNEXPLAINED)
     if not np.all(known[used]) or not np.all((xx * yy - xy * xy)[used] > 0.0):
         raise InputError(f"{where} has spots whose covariance is none")
     robots, leds = np.array(spots.robot, np.int64), np.array(spots.led, np.int64)
@@ -88,18 +89,18 @@ def _spots_of_robots(report: "pb.FrameReport", view: View, where: str) -> NDArra
     whose &= (robots >= 0) == (leds >= 0)
     claimed = ((robots >= 0) & (leds >= 0) & whose)[used]
     numbers = (robots * LEDS + leds)[used][claimed]
-    if not np.all(whose) or len(np.unique(numbers)) != len(numbers):
+    if not np.all(whose) or np.bincount(numbers).max(initial=0) > 1:
         raise InputError(f"{where} has spots that are LEDs which its robots do not have, or one LED twice")
     return np.bincount(robots[used][claimed], minlength=len(view.rig.robots))
 
 
 def _refuse_pose(robot: "pb.RobotReport", where: str, spots: int) -> None:
-    report_pose(robot.pose)
+    check_report_pose(robot.pose)
     if not (0 <= robot.leds <= LEDS and 0.0 <= robot.rms_px < math.inf):
         raise InputError(f"{where}: {robot.leds} LEDs, off by {robot.rms_px:g} px, expected up to {LEDS}")
     if spots < LEAST_SPOTS:
         raise InputError(f"{where}: a pose of {spots} spots, expected at least {LEAST_SPOTS}")
     if robot.HasField("alternative"):
-        report_pose(robot.alternative.pose)
+        check_report_pose(robot.alternative.pose)
         if not robot.alternative.odds >= 0.0:
             raise InputError(f"{where}: another tilt that is less likely by {robot.alternative.odds:g}, expected 0 on")
