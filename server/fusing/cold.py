@@ -20,7 +20,7 @@ from asterism.server.fusing.arrays import still
 from asterism.server.fusing.decide import LEAST_ODDS, Doubts, decided
 from asterism.server.fusing.joined import UNKNOWN_RATES, Hypothesis, Joined, without
 from asterism.server.fusing.look import Body, Course, State
-from asterism.server.fusing.triples import Guesses, Limits, Sought, guess, room_to_guess
+from asterism.server.fusing.triples import Guesses, Limits, Scratch, Sought, guess, room_to_guess
 from asterism.server.identity.plan import NEARER, plan_for
 from asterism.server.pose.fit import SYSTEMATIC_PX
 
@@ -145,10 +145,9 @@ def _guesses(
     near, far = np.array([_range_of(sighting.view.rig) for sighting in joined.sightings]).T.copy()
     guesses = room_to_guess(GUESSES)
     prior = State(np.eye(3), np.zeros(3), np.zeros((6, 6)))
-    state = State(np.eye(3), np.zeros(3), np.zeros((6, 6)))
-    tried, turns = guess(
-        joined.scene, robots, _course(joined), free, Limits(near, far, *limits), state, prior, joined.room, guesses
-    )
+    scratch = Scratch(State(np.eye(3), np.zeros(3), np.zeros((6, 6))), prior, joined.room)
+    within = Limits(near, far, *limits)
+    tried, turns = guess(joined.scene, robots, _course(joined), free, within, scratch, guesses)
     return guesses, tried, turns
 
 

@@ -1,12 +1,23 @@
 """The line of sight to a robot that one camera may see: where along it other cameras' spots bear it out."""
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from asterism.server.compiled import compiled
 
 AROUND = 0.75  # of a constellation's extent: how far from its middle its LEDs are at most
+
+
+class Borne(NamedTuple):
+    """Room for n spots of other cameras that bear a robot out: their ``depths`` (n,) along a line of sight, m, by how
+    much a robot's own may be another, ``slack`` (n,), m, and which they are, ``near`` (n, 2): camera and row.
+    """
+
+    depths: Any
+    slack: Any
+    near: Any
 
 
 @compiled
@@ -19,10 +30,9 @@ def world_direction(scene, c, direction, out):
 
 
 @compiled
-def supports_along(scene, free, directions, home, middle, extent, limits, depths, slack, near):
-    """Where other cameras' spots pass the line of sight ``middle`` (3,) of camera ``home``: fills their ``depths``
-    along it and by how much a robot's own may be another, ``slack``, m, and adds them to ``near`` (k, 2), camera and
-    row; returns how many there are.
+def supports_along(scene, free, directions, home, middle, extent, limits, borne):
+    """Where other cameras' spots pass the line of sight ``middle`` (3,) of camera ``home``: fills the
+    `Borne`; returns how many there are.
     """
     line, other = np.empty(3), np.empty(3)
     world_direction(scene, home, middle, line)
@@ -52,8 +62,8 @@ def supports_along(scene, free, directions, home, middle, extent, limits, depths
                 gap2 += (w + depth * line[i] - there * other[i]) ** 2
             wide = AROUND * extent
             if gap2 < wide * wide and limits.near[home] - extent < depth < limits.far[home] + extent:
-                depths[count], slack[count] = depth, wide / math.sqrt(sine2)
-                near[count, 0], near[count, 1] = c, spot
+                borne.depths[count], borne.slack[count] = depth, wide / math.sqrt(sine2)
+                borne.near[count, 0], borne.near[count, 1] = c, spot
                 count += 1
     return count
 

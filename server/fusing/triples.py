@@ -6,7 +6,7 @@ cameras see enough spots, and only such poses whose distance these allow.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from asterism.server.centres.blobs import Ints
 from asterism.server.compiled import compiled
 from asterism.server.fusing.look import Body, fit, noise_of
 from asterism.server.fusing.near_spots import GATE, gate_of, spread_in
-from asterism.server.fusing.sightline import agreeing, nearest_depth, supports_along
+from asterism.server.fusing.sightline import Borne, agreeing, nearest_depth, supports_along
 from asterism.server.fusing.three_points import three_points
 from asterism.server.pose.fit import LEDS
 from asterism.server.pose.planar import NO_SOLUTION
@@ -35,6 +35,39 @@ class Sought(NamedTuple):
     misfits: Floats
     systematic: Floats
     extents: Floats
+
+
+class Search(NamedTuple):
+    """What is looked through: the `look.Scene`, who is `Sought`, the `look.Course`, which spots are ``free`` (n,), the
+    `Limits`, and the unit vectors along the rays, ``directions`` (n, 3).
+    """
+
+    scene: Any
+    sought: Any
+    course: Any
+    free: Any
+    limits: Any
+    directions: Any
+
+
+class Scratch(NamedTuple):
+    """Work arrays: ``state`` and ``prior`` (`look.State`), this with information 0, and a `look.Room`."""
+
+    state: Any
+    prior: Any
+    room: Any
+
+
+class Support(NamedTuple):
+    """What bears three spots out: the `Borne` of their line of sight, how many ``supports`` are in it and how many are
+    ``needed``, the least distance that they allow, ``nearest`` m, and all spots ``near`` (k, 2): camera and row.
+    """
+
+    borne: Any
+    supports: Any
+    needed: Any
+    nearest: Any
+    near: Any
 
 
 class Guesses(NamedTuple):
@@ -205,11 +238,9 @@ def _keep(guesses, seen, who, rotation, t):
 
 
 @compiled
-def guess(scene, sought, course, free, limits, state, prior, room, guesses):
-    """Fill the `Guesses` from the ``free`` (n,) spots of all cameras; returns how many poses were tried, and
-    of how many triples, -1 for all.
-
-    ``state`` and ``prior`` (`look.State`) and ``room`` are scratch, the prior with information 0.
+def guess(scene, sought, course, free, limits, scratch, guesses):
+    """Fill the `Guesses` from the ``free`` (n,) spots of all cameras, with a `Scratch`; returns how many poses were
+    tried, and of how many triples, -1 for all.
     """
     n = scene.rays.shape[0]
     cameras = scene.turns.shape[0]
@@ -223,7 +254,8 @@ def guess(scene, sought, course, free, limits, state, prior, room, guesses):
         reach[c] = largest / limits.near[c]
     triples = np.empty((MOST_TRIPLES, 4), np.int64)
     count = _list_triples(scene, free, directions, reach, triples)
-    depths, slack, middle, near = np.empty(n), np.empty(n), np.empty(3), np.empty((n, 2), np.int64)
+    borne, middle = Borne(np.empty(n), np.empty(n), np.empty((n, 2), np.int64)), np.empty(3)
+    search = Search(scene, sought, course, free, limits, directions)
     tried = 0
     for turn in range(count):
         if tried >= limits.most:
@@ -237,28 +269,26 @@ def guess(scene, sought, course, free, limits, state, prior, room, guesses):
         per = 1.0 / math.sqrt(middle[0] ** 2 + middle[1] ** 2 + middle[2] ** 2)
         for axis in range(3):
             middle[axis] *= per
-        supports = supports_along(scene, free, directions, home, middle, largest, limits, depths, slack, near)
-        every = _at_home(scene, free, directions, triple, reach[home], near, supports)
+        supports = supports_along(scene, free, directions, home, middle, largest, limits, borne)
+        every = _at_home(scene, free, directions, triple, reach[home], borne.near, supports)
         needed = max(LEAST - min(every - supports, LEDS), 1)
         if supports < needed:
             continue
-        nearest = max(nearest_depth(depths, slack, supports, needed), limits.near[home])
+        nearest = max(nearest_depth(borne.depths, borne.slack, supports, needed), limits.near[home])
         if not nearest < limits.far[home]:
             continue
         for robot in range(sought.extents.shape[0]):
-            tried += _try_robot(
-                scene, sought, course, free, limits, state, prior, room, guesses, robot, triple, directions,
-                (depths, slack, supports, needed, nearest, near[:every]),
-            )  # fmt: skip
+            told = Support(borne, supports, needed, nearest, borne.near[:every])
+            tried += _try_robot(search, scratch, guesses, robot, triple, told)
     return tried, -1
 
 
 @compiled
-def _try_robot(
-    scene, sought, course, free, limits, state, prior, room, guesses, robot, triple, directions, told,
-):  # fmt: skip
+def _try_robot(search, scratch, guesses, robot, triple, told):
     """Try three spots as any three LEDs of a robot; returns how many poses that were."""
-    depths, slack, supports, needed, nearest, near = told
+    scene, sought, course, free, limits, directions = search
+    state, prior, room = scratch
+    borne, supports, needed, nearest, near = told
     home = triple[0]
     extent, layout = sought.extents[robot], sought.layouts[robot]
     body = Body(layout, sought.optics[robot], sought.misfits[robot], sought.systematic[robot])
@@ -306,7 +336,7 @@ def _try_robot(
                     facing = (
                         rotations[which, 0, 2] * t[0] + rotations[which, 1, 2] * t[1] + rotations[which, 2, 2] * t[2]
                     )
-                    if not facing < -0.25 * away or agreeing(depths, slack, supports, away) < needed:
+                    if not facing < -0.25 * away or agreeing(borne.depths, borne.slack, supports, away) < needed:
                         continue
                     if _seen_roughly(scene, home, layout, extent, rotations[which], t, near) < LEAST:
                         continue
