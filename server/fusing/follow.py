@@ -160,7 +160,7 @@ def _gather(row, look, eyes, bodies, pairs, motion, information, right):
     if n == 0:
         return 0.0, 0
     work = work_room(2 * n)
-    if not linearize(row, look.rotations[row], look.ts[row], eyes, bodies, pairs, motion, work, True):
+    if not linearize(row, (look.rotations[row], look.ts[row]), eyes, bodies, pairs, motion, work, True):
         return 0.0, 0
     h, squares = np.empty((2, STATE)), 0.0
     for i in range(n):

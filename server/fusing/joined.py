@@ -151,7 +151,7 @@ class Joined:
         """As `explain`, of a body and a start that are given."""
         state = State(prior.rotation.copy(), prior.t.copy(), np.zeros((6, 6)))
         labels, course = labels.copy(), self.course(robot.id)
-        chi2, count = gather(self.scene, body, course, robot.extent, prior, state, labels, free, self.room)
+        chi2, count = gather(self.scene, body, course, prior, state, labels, free, self.room)
         if chi2 >= NO_SOLUTION or count == 0:
             return None
         odds = weigh(self.scene, body, robot.extent, labels, self.room, state, prior, chi2)

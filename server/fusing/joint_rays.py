@@ -150,10 +150,11 @@ def _moved(rotation, t, rates, time, age, out, out_t):
 
 
 @compiled
-def linearize(k, rotation, t, eyes, bodies, bundle, motion, work, derive):
-    """Fill the ``work`` of robot k of the bundle: residuals, and where ``derive``, derivatives. Returns whether all its
-    LEDs lie before their cameras.
+def linearize(k, pose, eyes, bodies, bundle, motion, work, derive):
+    """Fill the ``work`` of robot k of the bundle at a ``pose``, (3, 3) and (3,): residuals, and where ``derive``,
+    derivatives. Returns whether all its LEDs lie before their cameras.
     """
+    rotation, t = pose
     begin, body, rates = bundle.first[k], bundle.bodies[k], motion.rates[k]
     there, there_t, plane, turned = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     plane_t, shifts = np.empty(3), np.zeros((LEDS, 2))
@@ -217,6 +218,6 @@ def residuals_at(eyes, bodies, bundle, motion, poses):
     for k in range(bundle.bodies.shape[0]):
         begin, end = bundle.first[k], bundle.first[k + 1]
         work = work_room(end - begin)
-        linearize(k, poses.rotations[k], poses.ts[k], eyes, bodies, bundle, motion, work, False)
+        linearize(k, (poses.rotations[k], poses.ts[k]), eyes, bodies, bundle, motion, work, False)
         for i in range(begin, end):
             poses.residuals[i, 0], poses.residuals[i, 1] = work.off[i - begin, 0], work.off[i - begin, 1]

@@ -126,10 +126,11 @@ def _damped(normal, right, damping, inverse, move):
 
 
 @compiled
-def _fit(k, rotation, t, eyes, bodies, bundle, motion, work, covariance):
-    """Refine a pose in place with the rays' covariance where it starts; returns chi squared, `Poses.logdets` and how
-    far it went, and fills the ``covariance``.
+def _fit(k, pose, eyes, bodies, bundle, motion, work, covariance):
+    """Refine a ``pose``, (3, 3) and (3,), in place with the rays' covariance where it starts; returns chi squared,
+    `Poses.logdets` and how far it went, and fills the ``covariance``.
     """
+    rotation, t = pose
     size = 2 * (bundle.first[k + 1] - bundle.first[k])
     normal, right, move, turn = np.empty((6, 6)), np.empty(6), np.empty(6), np.empty((3, 3))
     trial, trial_t, products, gone = np.empty((3, 3)), np.empty(3), np.empty((7, WHITE)), 0.0
@@ -150,7 +151,7 @@ def _fit(k, rotation, t, eyes, bodies, bundle, motion, work, covariance):
             for i in range(3):
                 trial_t[i] = t[i] + move[i]
                 step = max(step, abs(move[i]), abs(move[3 + i]))
-            in_front = linearize(k, trial, trial_t, eyes, bodies, bundle, motion, work, False)
+            in_front = linearize(k, (trial, trial_t), eyes, bodies, bundle, motion, work, False)
             if in_front:
                 trial_cost = _cost(work, size)
                 if step < STILL or trial_cost <= cost * (1.0 + 1e-12):
@@ -158,7 +159,7 @@ def _fit(k, rotation, t, eyes, bodies, bundle, motion, work, covariance):
                     break
             damping = max(10.0 * damping, 1e-3)
         if not accepted:
-            linearize(k, rotation, t, eyes, bodies, bundle, motion, work, False)
+            linearize(k, pose, eyes, bodies, bundle, motion, work, False)
             break
         rotation[:, :] = trial
         for i in range(3):
@@ -169,7 +170,7 @@ def _fit(k, rotation, t, eyes, bodies, bundle, motion, work, covariance):
         if step < NEAR:
             # What the derivatives change by on so short a way is nothing.
             break
-        linearize(k, rotation, t, eyes, bodies, bundle, motion, work, True)
+        linearize(k, pose, eyes, bodies, bundle, motion, work, True)
     invert(normal, covariance)
     logdet = 0.0
     for i in range(size):
@@ -193,9 +194,9 @@ def solve_one(k, eyes, bodies, bundle, motion, poses):
     work = work_room(end - begin)
     cost, logdet = NO_SOLUTION, 0.0
     for _ in range(AGAIN):
-        if not linearize(k, rotation, t, eyes, bodies, bundle, motion, work, True):
+        if not linearize(k, (rotation, t), eyes, bodies, bundle, motion, work, True):
             return
-        cost, logdet, gone = _fit(k, rotation, t, eyes, bodies, bundle, motion, work, covariance)
+        cost, logdet, gone = _fit(k, (rotation, t), eyes, bodies, bundle, motion, work, covariance)
         if gone < FAR:
             break
     poses.costs[k], poses.logdets[k] = cost, logdet

@@ -63,12 +63,25 @@ def gate_of(room, c, led, spread, gate):
 
 
 @compiled
-def _costs(scene, body, c, labels, free, room, spread, extent, costs):
+def _extent(layout):
+    """The largest distance between two LEDs (6, 3), m."""
+    largest2 = 0.0
+    for i in range(LEDS):
+        for j in range(i):
+            away2 = 0.0
+            for axis in range(3):
+                away2 += (layout[i, axis] - layout[j, axis]) ** 2
+            largest2 = max(largest2, away2)
+    return math.sqrt(largest2)
+
+
+@compiled
+def _costs(scene, body, c, labels, free, room, spread, costs):
     """Fill ``costs`` (6, spots of camera c): squared sigmas and the logarithm of the gate's area for LEDs that lack a
     spot and spots within the gate, inf elsewhere. Returns whether there is any.
     """
     costs[:, :] = np.inf
-    gate = np.empty(3)
+    gate, extent = np.empty(3), _extent(body.layout)
     start, end = scene.first[c], scene.first[c + 1]
     some = False
     for led in range(LEDS):
@@ -141,11 +154,11 @@ def _worst(scene, body, labels, room):
 
 
 @compiled
-def gather(scene, body, course, extent, prior, state, labels, free, room):
+def gather(scene, body, course, prior, state, labels, free, room):
     """Find a robot's spots in all cameras: ``labels`` (C, 6), which holds those that are known already, -1 elsewhere.
 
-    ``prior`` as in `look.fit`; from ``state`` on, which becomes the pose that they tell; ``extent``, m, of the
-    constellation. ``free`` (n,) spots may be taken, and are no longer free then. Returns chi squared and the count.
+    ``prior`` as in `look.fit`; from ``state`` on, which becomes the pose that they tell. ``free`` (n,) spots may be
+    taken, and are no longer free then. Returns chi squared and the count.
     """
     widest = 1
     for c in range(labels.shape[0]):
@@ -162,7 +175,7 @@ def gather(scene, body, course, extent, prior, state, labels, free, room):
                 continue
             spread_in(scene, room, c, prior.information, spread)
             costs = all_costs[:, : end - start]
-            if _costs(scene, body, c, labels[c], free, room, spread, extent, costs):
+            if _costs(scene, body, c, labels[c], free, room, spread, costs):
                 taken += _take_clear(costs, start, labels[c], free)
         if taken == 0:
             break

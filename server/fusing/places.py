@@ -85,7 +85,9 @@ def add_ties(eyes, bodies, bundle, motion, poses, normal, right):
     for k in range(bundle.bodies.shape[0]):
         begin, end = bundle.first[k], bundle.first[k + 1]
         work = work_room(end - begin)
-        if end == begin or not linearize(k, poses.rotations[k], poses.ts[k], eyes, bodies, bundle, motion, work, True):
+        if end == begin or not linearize(
+            k, (poses.rotations[k], poses.ts[k]), eyes, bodies, bundle, motion, work, True
+        ):
             continue
         pose[:, :] = across[:, :] = 0.0
         towards[:] = 0.0

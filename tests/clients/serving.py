@@ -11,6 +11,7 @@ from asterism.protocol import keys
 from asterism.protocol.codec import encode_odometry, encode_rig
 from asterism.protocol.messages import ODOMETRY, Message, RobotPose
 from asterism.protocol.network import open_server
+from asterism.server.service.on_air import OnAir
 from asterism.server.service.publish import Clock, Publisher
 from asterism.server.sources.session_clock import SessionClock
 from tests.protocol.make_golden import RIG, ROBOT_POSE
@@ -58,3 +59,17 @@ def until(condition: Callable[[], object], timeout_s: float = 20.0) -> None:
     while not condition():
         assert time.monotonic() < end, "it did not come about"
         time.sleep(0.002)
+
+
+def tell(air: OnAir, robot: str = "alpha", camera: str = "cam") -> None:
+    """A pose of that robot, as it is now."""
+    clock = air.publisher.clock
+    now = replace(
+        ROBOT_POSE,
+        robot=robot,
+        covariance=COVARIANCE,
+        exposed_ns=clock.now_ns(),
+        published_ns=0,
+        session=clock.session,
+    )
+    air.publisher.publish([Message(keys.odometry(camera, robot), ODOMETRY, encode_odometry(now), 0, 0, 42)])

@@ -17,6 +17,7 @@ from tests.several import facing_pair, rigs_at
 def test_rigs_of_the_same_robots_fit() -> None:
     left, right = (view_of(rig, "here") for rig in rigs_at(facing_pair()))
     refuse_unlike_robots(right, [left])
+    assert [unlike(one, other) for one, other in zip(left.rig.robots, right.rig.robots, strict=True)] == [""] * 2
 
 
 def test_a_rig_that_places_no_camera_is_refused() -> None:

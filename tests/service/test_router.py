@@ -12,18 +12,15 @@ import pytest
 import zenoh
 
 from asterism.clients import LinkState, PoseClient
-from asterism.protocol import keys
-from asterism.protocol.codec import encode_odometry
 from asterism.protocol.errors import InputError
-from asterism.protocol.messages import ODOMETRY, Message
 from asterism.protocol.network import endpoints_of, open_router, router_config
 from asterism.server.service.on_air import OnAir, Place, on_air
 from asterism.server.service.router import Visitors, remark
 from asterism.server.service.say import SAID
 from asterism.server.sources.session_clock import SessionClock
-from tests.clients.serving import COVARIANCE, until
+from tests.clients.serving import tell, until
 from tests.listening import family, listening
-from tests.protocol.make_golden import RIG, ROBOT_POSE
+from tests.protocol.make_golden import RIG
 from tests.servers import asterism, free_endpoint, running, wait_for_line
 
 
@@ -38,20 +35,6 @@ def served(place: Place, camera: str = "cam") -> Iterator[OnAir]:
     rig = replace(RIG, camera=replace(RIG.camera, name=camera))
     with on_air(place, rig, SessionClock(), lambda: None) as air:
         yield air
-
-
-def tell(air: OnAir, robot: str = "alpha", camera: str = "cam") -> None:
-    """A pose of that robot, as it is now."""
-    clock = air.publisher.clock
-    now = replace(
-        ROBOT_POSE,
-        robot=robot,
-        covariance=COVARIANCE,
-        exposed_ns=clock.now_ns(),
-        published_ns=0,
-        session=clock.session,
-    )
-    air.publisher.publish([Message(keys.odometry(camera, robot), ODOMETRY, encode_odometry(now), 0, 0, 42)])
 
 
 def hears(client: PoseClient, air: OnAir) -> bool:

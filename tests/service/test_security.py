@@ -5,19 +5,15 @@ import socket
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from asterism.clients import PoseClient
-from asterism.protocol import keys
-from asterism.protocol.codec import encode_odometry
-from asterism.protocol.messages import ODOMETRY, Message
 from asterism.server.service.on_air import OnAir, Place, on_air
 from asterism.server.sources.session_clock import SessionClock
-from tests.clients.serving import COVARIANCE
-from tests.protocol.make_golden import RIG, ROBOT_POSE
+from tests.clients.serving import tell
+from tests.protocol.make_golden import RIG
 from tests.servers import free_endpoint
 from tests.service.page_files import Files, make_certificates
 
@@ -40,19 +36,6 @@ def certificates(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def server(options: Path) -> Iterator[OnAir]:
     with on_air(Place(options=options), RIG, SessionClock(), lambda: None) as air:
         yield air
-
-
-def tell(air: OnAir, robot: str = "alpha") -> None:
-    clock = air.publisher.clock
-    told = replace(
-        ROBOT_POSE,
-        robot=robot,
-        covariance=COVARIANCE,
-        exposed_ns=clock.now_ns(),
-        published_ns=0,
-        session=clock.session,
-    )
-    air.publisher.publish([Message(keys.odometry("cam", robot), ODOMETRY, encode_odometry(told), 0, 0, 42)])
 
 
 def arrives(air: OnAir, options: Path, timeout_s: float, robot: str = "alpha") -> bool:
