@@ -92,7 +92,7 @@ def test_a_film_is_recorded_with_its_own_times_and_its_whole_rig(films: Path, re
 
 def test_two_recordings_of_a_film_differ_in_when_they_began_alone(films: Path, recorded: Path, tmp_path: Path) -> None:
     one, other = (
-        next(folder.glob("*/poses-0001.mcap")).read_bytes() for folder in (recorded, tmp_path_of(films, tmp_path))
+        next(folder.glob("left-*/poses-0001.mcap")).read_bytes() for folder in (recorded, tmp_path_of(films, tmp_path))
     )
     assert len(one) == len(other)
     began = len("2026-11-27T05:24:15.123456") + 8 + 4  # in the metadata, with their check sums; twice in a file
