@@ -36,6 +36,15 @@ class Clock(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     FILE: _ClassVar[Clock]
     PLAYED: _ClassVar[Clock]
 
+class Standing(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    STANDING_UNSPECIFIED: _ClassVar[Standing]
+    ON_SURFACE: _ClassVar[Standing]
+    LIFTED: _ClassVar[Standing]
+    SUNK: _ClassVar[Standing]
+    TILTED: _ClassVar[Standing]
+    BEYOND: _ClassVar[Standing]
+
 class Happening(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     HAPPENING_UNSPECIFIED: _ClassVar[Happening]
@@ -65,6 +74,12 @@ DRIVER: Clock
 ARRIVAL: Clock
 FILE: Clock
 PLAYED: Clock
+STANDING_UNSPECIFIED: Standing
+ON_SURFACE: Standing
+LIFTED: Standing
+SUNK: Standing
+TILTED: Standing
+BEYOND: Standing
 HAPPENING_UNSPECIFIED: Happening
 STATE_CHANGED: Happening
 FRAMES_STOPPED: Happening
@@ -135,7 +150,7 @@ class Alternative(_message.Message):
     def __init__(self, pose: _Optional[_Union[Pose, _Mapping]] = ..., odds: _Optional[float] = ...) -> None: ...
 
 class RobotReport(_message.Message):
-    __slots__ = ("id", "state", "reason", "pose", "covariance", "leds", "rms_px", "led", "spot", "residual_x", "residual_y", "alternative", "points", "smoothed_by", "extrapolated", "velocity", "cameras", "left_out")
+    __slots__ = ("id", "state", "reason", "pose", "covariance", "leds", "rms_px", "led", "spot", "residual_x", "residual_y", "alternative", "points", "smoothed_by", "extrapolated", "velocity", "cameras", "left_out", "surface")
     class PointsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -168,6 +183,7 @@ class RobotReport(_message.Message):
     VELOCITY_FIELD_NUMBER: _ClassVar[int]
     CAMERAS_FIELD_NUMBER: _ClassVar[int]
     LEFT_OUT_FIELD_NUMBER: _ClassVar[int]
+    SURFACE_FIELD_NUMBER: _ClassVar[int]
     id: str
     state: State
     reason: str
@@ -186,7 +202,30 @@ class RobotReport(_message.Message):
     velocity: Velocity
     cameras: _containers.RepeatedScalarFieldContainer[str]
     left_out: _containers.ScalarMap[str, str]
-    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[State, str]] = ..., reason: _Optional[str] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., leds: _Optional[int] = ..., rms_px: _Optional[float] = ..., led: _Optional[_Iterable[int]] = ..., spot: _Optional[_Iterable[int]] = ..., residual_x: _Optional[_Iterable[float]] = ..., residual_y: _Optional[_Iterable[float]] = ..., alternative: _Optional[_Union[Alternative, _Mapping]] = ..., points: _Optional[_Mapping[str, Vector3]] = ..., smoothed_by: _Optional[str] = ..., extrapolated: bool = ..., velocity: _Optional[_Union[Velocity, _Mapping]] = ..., cameras: _Optional[_Iterable[str]] = ..., left_out: _Optional[_Mapping[str, str]] = ...) -> None: ...
+    surface: OnSurface
+    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[State, str]] = ..., reason: _Optional[str] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., leds: _Optional[int] = ..., rms_px: _Optional[float] = ..., led: _Optional[_Iterable[int]] = ..., spot: _Optional[_Iterable[int]] = ..., residual_x: _Optional[_Iterable[float]] = ..., residual_y: _Optional[_Iterable[float]] = ..., alternative: _Optional[_Union[Alternative, _Mapping]] = ..., points: _Optional[_Mapping[str, Vector3]] = ..., smoothed_by: _Optional[str] = ..., extrapolated: bool = ..., velocity: _Optional[_Union[Velocity, _Mapping]] = ..., cameras: _Optional[_Iterable[str]] = ..., left_out: _Optional[_Mapping[str, str]] = ..., surface: _Optional[_Union[OnSurface, _Mapping]] = ...) -> None: ...
+
+class OnSurface(_message.Message):
+    __slots__ = ("standing", "reason", "off_m", "off_sigma_m", "tilt_off_rad", "tilt_off_sigma_rad", "without", "without_covariance", "without_alternative")
+    STANDING_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    OFF_M_FIELD_NUMBER: _ClassVar[int]
+    OFF_SIGMA_M_FIELD_NUMBER: _ClassVar[int]
+    TILT_OFF_RAD_FIELD_NUMBER: _ClassVar[int]
+    TILT_OFF_SIGMA_RAD_FIELD_NUMBER: _ClassVar[int]
+    WITHOUT_FIELD_NUMBER: _ClassVar[int]
+    WITHOUT_COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    WITHOUT_ALTERNATIVE_FIELD_NUMBER: _ClassVar[int]
+    standing: Standing
+    reason: str
+    off_m: float
+    off_sigma_m: float
+    tilt_off_rad: float
+    tilt_off_sigma_rad: float
+    without: Pose
+    without_covariance: _containers.RepeatedScalarFieldContainer[float]
+    without_alternative: Alternative
+    def __init__(self, standing: _Optional[_Union[Standing, str]] = ..., reason: _Optional[str] = ..., off_m: _Optional[float] = ..., off_sigma_m: _Optional[float] = ..., tilt_off_rad: _Optional[float] = ..., tilt_off_sigma_rad: _Optional[float] = ..., without: _Optional[_Union[Pose, _Mapping]] = ..., without_covariance: _Optional[_Iterable[float]] = ..., without_alternative: _Optional[_Union[Alternative, _Mapping]] = ...) -> None: ...
 
 class Velocity(_message.Message):
     __slots__ = ("linear", "angular", "covariance")
@@ -428,3 +467,56 @@ class RigReport(_message.Message):
     reloads: Reloads
     protocol: int
     def __init__(self, camera: _Optional[str] = ..., frame_id: _Optional[str] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., camera_matrix: _Optional[_Iterable[float]] = ..., distortion_model: _Optional[str] = ..., distortion: _Optional[_Iterable[float]] = ..., world_camera: _Optional[_Union[Pose, _Mapping]] = ..., robots: _Optional[_Iterable[_Union[RigRobot, _Mapping]]] = ..., rig_yaml: _Optional[str] = ..., camera_yaml: _Optional[str] = ..., offset_yaml: _Optional[_Mapping[str, str]] = ..., files: _Optional[_Mapping[str, str]] = ..., host: _Optional[str] = ..., pid: _Optional[int] = ..., session: _Optional[int] = ..., started_ns: _Optional[int] = ..., time_ns: _Optional[int] = ..., rate: _Optional[float] = ..., version: _Optional[str] = ..., reloads: _Optional[_Union[Reloads, _Mapping]] = ..., protocol: _Optional[int] = ...) -> None: ...
+
+class Coverage(_message.Message):
+    __slots__ = ("session", "since_ns", "exposed_ns", "frame", "x0", "y0", "pitch", "columns", "rows", "whole", "robots")
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    SINCE_NS_FIELD_NUMBER: _ClassVar[int]
+    EXPOSED_NS_FIELD_NUMBER: _ClassVar[int]
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    X0_FIELD_NUMBER: _ClassVar[int]
+    Y0_FIELD_NUMBER: _ClassVar[int]
+    PITCH_FIELD_NUMBER: _ClassVar[int]
+    COLUMNS_FIELD_NUMBER: _ClassVar[int]
+    ROWS_FIELD_NUMBER: _ClassVar[int]
+    WHOLE_FIELD_NUMBER: _ClassVar[int]
+    ROBOTS_FIELD_NUMBER: _ClassVar[int]
+    session: int
+    since_ns: int
+    exposed_ns: int
+    frame: Pose
+    x0: float
+    y0: float
+    pitch: float
+    columns: int
+    rows: int
+    whole: bool
+    robots: _containers.RepeatedCompositeFieldContainer[CoverageOf]
+    def __init__(self, session: _Optional[int] = ..., since_ns: _Optional[int] = ..., exposed_ns: _Optional[int] = ..., frame: _Optional[_Union[Pose, _Mapping]] = ..., x0: _Optional[float] = ..., y0: _Optional[float] = ..., pitch: _Optional[float] = ..., columns: _Optional[int] = ..., rows: _Optional[int] = ..., whole: bool = ..., robots: _Optional[_Iterable[_Union[CoverageOf, _Mapping]]] = ...) -> None: ...
+
+class CoverageOf(_message.Message):
+    __slots__ = ("robot", "patch", "dwell_s", "passes", "speed", "direction", "last_ns", "left_out")
+    class LeftOutEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: int
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[int] = ...) -> None: ...
+    ROBOT_FIELD_NUMBER: _ClassVar[int]
+    PATCH_FIELD_NUMBER: _ClassVar[int]
+    DWELL_S_FIELD_NUMBER: _ClassVar[int]
+    PASSES_FIELD_NUMBER: _ClassVar[int]
+    SPEED_FIELD_NUMBER: _ClassVar[int]
+    DIRECTION_FIELD_NUMBER: _ClassVar[int]
+    LAST_NS_FIELD_NUMBER: _ClassVar[int]
+    LEFT_OUT_FIELD_NUMBER: _ClassVar[int]
+    robot: str
+    patch: _containers.RepeatedScalarFieldContainer[int]
+    dwell_s: _containers.RepeatedScalarFieldContainer[float]
+    passes: _containers.RepeatedScalarFieldContainer[int]
+    speed: _containers.RepeatedScalarFieldContainer[float]
+    direction: _containers.RepeatedScalarFieldContainer[float]
+    last_ns: _containers.RepeatedScalarFieldContainer[int]
+    left_out: _containers.ScalarMap[str, int]
+    def __init__(self, robot: _Optional[str] = ..., patch: _Optional[_Iterable[int]] = ..., dwell_s: _Optional[_Iterable[float]] = ..., passes: _Optional[_Iterable[int]] = ..., speed: _Optional[_Iterable[float]] = ..., direction: _Optional[_Iterable[float]] = ..., last_ns: _Optional[_Iterable[int]] = ..., left_out: _Optional[_Mapping[str, int]] = ...) -> None: ...

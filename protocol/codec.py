@@ -91,6 +91,8 @@ def encode_odometry(told: RobotPose) -> bytes:
         message.metadata.add(key="extrapolated", value="true")
     if told.cameras:
         message.metadata.add(key="cameras", value=msgspec.json.encode(told.cameras).decode())
+    if told.standing:
+        message.metadata.add(key="surface", value=told.standing)
     if told.velocity is not None:
         _set_velocity(message, told.velocity)
     return to_bytes(message) + (_odometry_stamp(told.published_ns) if told.published_ns else b"")
@@ -197,6 +199,7 @@ def decode_odometry(payload: bytes) -> RobotPose:
             extrapolated=metadata.get("extrapolated") == "true",
             velocity=_velocity(message, metadata),
             cameras=_cameras(metadata),
+            standing=metadata.get("surface", ""),
         )
     except (DecodeError, KeyError, ValueError) as error:
         why = str(error)[:_LONGEST]  # it may quote any text of the message

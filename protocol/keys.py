@@ -33,6 +33,11 @@ def event(camera: str) -> str:
     return f"{PREFIX}/{camera}/event"
 
 
+def coverage(camera: str) -> str:
+    """Where tools have been, once a second, where the rig has a surface and robots that stand on it."""
+    return f"{PREFIX}/{camera}/coverage"
+
+
 def beat(camera: str) -> str:
     """The server's beat, five times a second, whatever its camera does."""
     return f"{PREFIX}/{camera}/beat"

@@ -12,6 +12,7 @@ State = pb.State
 Fate = pb.Fate
 Clock = pb.Clock
 Happening = pb.Happening
+Standing = pb.Standing
 
 PROTOCOL = 2  # of these messages, told by every rig reply and recording; a message that tells none is of 1
 
@@ -33,6 +34,7 @@ ODOMETRY = Kind("foxglove.Odometry", on_wire=True)
 FRAME_REPORT = Kind("asterism.FrameReport", on_wire=True)
 STATUS = Kind("asterism.Status", on_wire=True)
 EVENT = Kind("asterism.Event", on_wire=True)
+COVERAGE = Kind("asterism.Coverage", on_wire=True)
 BEAT = Kind("asterism.Beat", on_wire=True)
 RIG_REPORT = Kind("asterism.RigReport", on_wire=True)
 TRANSFORMS = Kind("foxglove.FrameTransforms", on_wire=False)
@@ -80,7 +82,8 @@ class RobotPose:
     of frames before, empty where the pose rests on this frame alone: only that filter knows a ``velocity``;
     ``extrapolated``: the rig corrects Z, but no surveyed pose was near, so the correction is faded or cut off;
     ``session`` is the server's, 0 where frames were solved again; ``published_ns`` 0 where it did not go out;
-    ``cameras`` names those it rests on, where several are joined.
+    ``cameras`` names those it rests on, where several are joined; ``standing`` says of a robot that by the rig stands
+    on the surface whether that is part of what the pose rests on (ON_SURFACE) or why not (`Standing`), else empty.
     """
 
     robot: str
@@ -98,6 +101,7 @@ class RobotPose:
     extrapolated: bool = field(default=False, kw_only=True)
     velocity: Velocity | None = field(default=None, kw_only=True)
     cameras: tuple[str, ...] = field(default=(), kw_only=True)
+    standing: str = field(default="", kw_only=True)
 
     @property
     def position(self) -> Floats:

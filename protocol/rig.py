@@ -25,11 +25,13 @@ from asterism.protocol.rig_hints import (
     refuse_millimetres,
 )
 from asterism.protocol.sensor_part import captured
+from asterism.protocol.surface import Surface
+from asterism.protocol.surface_file import Stands, read_stands, read_surface
 from asterism.protocol.text_file import read_text
 from asterism.protocol.yaml_file import Section, describe, parse_yaml, read_yaml
 from asterism.protocol.z_correction import ZCorrection, read_correction
 
-RIG_KEYS = ("camera", "range", "masks", "centre", "capture", "world", "z_correction", "robots")
+RIG_KEYS = ("camera", "range", "masks", "centre", "capture", "world", "surface", "z_correction", "robots")
 ESTIMATORS = ("edge-model", "grey-square", "clip", "zernike")  # the first is the default
 SEPARATION = 0.02  # of the extent: constellations nearer than this cannot be told apart
 
@@ -54,6 +56,7 @@ class Robot:
     normal: NormalPrior | None = None
     led_offset: LedOffset | None = None
     T_world_fixed: Pose | None = None  # T_world_robot of a constellation that does not move: a reference
+    stands: Stands | None = None  # on the rig's surface
     T_robot_plane: Pose = field(init=False)
     leds_plane: Floats = field(init=False)  # (6, 3); third column: distance from the common plane
 
@@ -83,6 +86,7 @@ class Rig:
     T_world_camera: Pose | None = None
     follows_world: bool = False  # T_world_camera is taken anew from the constellations that do not move
     z_correction: ZCorrection | None = None
+    surface: Surface | None = None  # that robots work on, in the world
     rig_text: str = ""
     camera_text: str = ""
     offset_texts: Mapping[str, str] = field(default_factory=dict)  # by the path from the rig that led.offset gives
@@ -171,6 +175,12 @@ def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str, name
             "constellations that do not move",
         )
     _refuse_lookalikes(inner, robots)
+    surface = None
+    if "surface" in section:
+        if T_world_camera is None:
+            raise section.error("surface", "needs the rig's `world`, the pose of the camera in the world")
+        surface, texts = read_surface(section.section("surface"), named)
+        files = {**files, **texts}
     return Rig(
         camera=camera,
         robots=robots,
@@ -181,6 +191,7 @@ def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str, name
         T_world_camera=T_world_camera,
         follows_world=follows,
         z_correction=read_correction(section.section("z_correction")) if "z_correction" in section else None,
+        surface=surface,
         rig_text=rig_text,
         camera_text=camera_text,
         offset_texts=offset_texts,
@@ -256,7 +267,7 @@ def _robot(
 ) -> Robot:
     if problem := key_problem(name):
         raise section.error(None, f"the robot's id {describe(name)} {problem}; it becomes part of a zenoh key")
-    section.only(("leds", "led", "points", "normal", "fixed"), ROBOT_WORDS)
+    section.only(("leds", "led", "points", "normal", "fixed", "stands"), ROBOT_WORDS)
     leds = read_leds(section)
     axis, radius, offset = np.array([0.0, 0.0, 1.0]), None, None
     if "led" in section:
@@ -301,7 +312,8 @@ def _robot(
             raise inner.error("within_deg", f"{within:g}, expected at most 180")
         prior = NormalPrior(frozen_array(direction, 3), float(np.radians(within)))
     fixed = _fixed(section.section("fixed"), T_world_camera) if "fixed" in section else None
-    return Robot(name, leds, axis, radius, points, prior, offset, fixed)
+    stands = read_stands(section.section("stands"), points, axis) if "stands" in section else None
+    return Robot(name, leds, axis, radius, points, prior, offset, fixed, stands)
 
 
 def _point(section: Section, key: str, leds: Floats) -> Floats:

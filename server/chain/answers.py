@@ -109,6 +109,7 @@ def _estimate(
     estimate.position, estimate.orientation, estimate.covariance = positions[0], quaternions[0], covariance
     estimate.leds, estimate.spots, estimate.residuals_px, estimate.rms_px = lit, seen, residuals, rms_px
     estimate.alternative, estimate.smoothed_by, estimate.extrapolated = alternative, "", extrapolated
+    estimate.surface = None
     estimate.__class__ = PoseEstimate
     return cast(PoseEstimate, estimate)
 

@@ -9,7 +9,7 @@ from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message, RobotPos
 from asterism.protocol.rig import Rig
 from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.chain.smooth import SmoothedPose
-from asterism.server.pose.solve import PoseEstimate
+from asterism.server.pose.solve import OnSurface, PoseEstimate
 
 
 def report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int) -> Iterator[Message]:
@@ -36,6 +36,7 @@ def report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int) -> Itera
                 smoothed_by=answer.smoothed_by,
                 extrapolated=answer.extrapolated,
                 velocity=answer.velocity if isinstance(answer, SmoothedPose) else None,
+                standing=answer.surface.standing if answer.surface is not None else "",
             )
             key = keys.odometry(rig.camera.name, robot_id)
             yield Message(key, ODOMETRY, encode_odometry(told), result.exposed_ns, 0, result.index)
@@ -95,6 +96,22 @@ def frame_report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int) ->
         if answer.alternative is not None:
             set_report_pose(entry.alternative.pose, answer.alternative.pose)
             entry.alternative.odds = answer.alternative.odds
+        if answer.surface is not None:
+            _tell_surface(entry.surface, answer.surface)
         for name, point in robot.points.items():
             set_vector(entry.points[name], answer.pose.map(point))
     return message
+
+
+def _tell_surface(told: "pb.OnSurface", surface: OnSurface) -> None:
+    told.standing = pb.Standing.Value(surface.standing)
+    told.reason = surface.reason
+    told.off_m, told.off_sigma_m = surface.off_m, surface.off_sigma_m
+    told.tilt_off_rad, told.tilt_off_sigma_rad = surface.tilt_off_rad, surface.tilt_off_sigma_rad
+    if surface.without is None or surface.without_covariance is None:
+        return
+    set_report_pose(told.without, surface.without)
+    told.without_covariance.extend(surface.without_covariance.ravel().tolist())
+    if surface.without_alternative is not None:
+        set_report_pose(told.without_alternative.pose, surface.without_alternative.pose)
+        told.without_alternative.odds = surface.without_alternative.odds

@@ -43,6 +43,28 @@ class Alternative:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class OnSurface:
+    """How a robot that by the rig stands on the surface does so in one frame.
+
+    ``standing``: ON_SURFACE: the surface is part of what the pose rests on. LIFTED, SUNK, TILTED, BEYOND (the edge):
+    it rests on light alone, and ``reason`` says why. By light alone: ``off_m`` from the surface to the robot's point
+    along the normal, positive out of the material, and ``tilt_off_rad`` between axis and normal, each with its sigma,
+    light and surface together; nan where there is no surface. ``without``: what light alone says, where the surface was
+    used: position, orientation, its covariance (6, 6), and the other tilt.
+    """
+
+    standing: str
+    reason: str
+    off_m: float
+    off_sigma_m: float
+    tilt_off_rad: float
+    tilt_off_sigma_rad: float
+    without: Pose | None = None
+    without_covariance: Floats | None = None
+    without_alternative: Alternative | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PoseEstimate:
     """A robot's pose in one frame.
 
@@ -51,6 +73,7 @@ class PoseEstimate:
     ``spots`` (k,) the rows of the frame's blobs they are, ``residuals_px`` (k, 2) observed minus predicted.
     ``smoothed_by`` names the filter (`smooth`) that changed pose and covariance; empty: they rest on this frame.
     ``extrapolated``: the rig corrects Z, but no surveyed pose was near: the correction is faded or cut off.
+    ``surface``: only of a robot that by the rig stands on the surface.
     """
 
     position: Floats  # (3,) m
@@ -63,6 +86,7 @@ class PoseEstimate:
     alternative: Alternative | None
     smoothed_by: str = ""
     extrapolated: bool = False
+    surface: OnSurface | None = None
 
     @property
     def pose(self) -> Pose:
