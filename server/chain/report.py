@@ -97,21 +97,25 @@ def frame_report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int) ->
             set_report_pose(entry.alternative.pose, answer.alternative.pose)
             entry.alternative.odds = answer.alternative.odds
         if answer.surface is not None:
-            _tell_surface(entry.surface, answer.surface)
+            entry.surface.CopyFrom(_surface_report(answer.surface))
         for name, point in robot.points.items():
             set_vector(entry.points[name], answer.pose.map(point))
     return message
 
 
-def _tell_surface(told: "pb.OnSurface", surface: OnSurface) -> None:
-    told.standing = pb.Standing.Value(surface.standing)
-    told.reason = surface.reason
-    told.off_m, told.off_sigma_m = surface.off_m, surface.off_sigma_m
-    told.tilt_off_rad, told.tilt_off_sigma_rad = surface.tilt_off_rad, surface.tilt_off_sigma_rad
-    if surface.without is None or surface.without_covariance is None:
-        return
-    set_report_pose(told.without, surface.without)
-    told.without_covariance.extend(surface.without_covariance.ravel().tolist())
+def _surface_report(surface: OnSurface) -> "pb.OnSurface":
+    told = pb.OnSurface(
+        standing=pb.Standing.Value(surface.standing),
+        reason=surface.reason,
+        off_m=surface.off_m,
+        off_sigma_m=surface.off_sigma_m,
+        tilt_off_rad=surface.tilt_off_rad,
+        tilt_off_sigma_rad=surface.tilt_off_sigma_rad,
+    )
+    if surface.without is not None and surface.without_covariance is not None:
+        set_report_pose(told.without, surface.without)
+        told.without_covariance.extend(surface.without_covariance.ravel().tolist())
     if surface.without_alternative is not None:
         set_report_pose(told.without_alternative.pose, surface.without_alternative.pose)
         told.without_alternative.odds = surface.without_alternative.odds
+    return told
