@@ -105,7 +105,7 @@ def frame_report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int) ->
 
 def _surface_report(surface: OnSurface) -> "pb.OnSurface":
     told = pb.OnSurface(
-        standing=pb.Standing.Value(surface.standing),
+        standing=surface.standing,
         reason=surface.reason,
         off_m=surface.off_m,
         off_sigma_m=surface.off_sigma_m,
