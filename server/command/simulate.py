@@ -19,6 +19,7 @@ from asterism.server.output import check_folder, new_folder
 from asterism.server.simulation.hand_film import hand_pose, pivot_pose
 from asterism.server.simulation.shared_floor import check_shared
 from asterism.server.simulation.simulate import Look, Scene
+from asterism.server.simulation.work import Lift, Work
 from asterism.server.sources.source import DEFAULT_RATE_HZ
 
 EXAMPLES = (
@@ -27,6 +28,7 @@ EXAMPLES = (
     "asterism simulate rig.yaml film --hand alpha --frames 300\n"
     "asterism simulate rig.yaml pivot --pivot alpha:tool --frames 100\n"
     "asterism simulate left.yaml right.yaml out --stagger\n"
+    "asterism simulate rig.yaml polished --lanes 0.015 --frames 600 --rate 10\n"
 )
 
 
@@ -50,6 +52,15 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     shown.add_argument(
         "--pivot", metavar="ROBOT:POINT", help="this robot alone, tilted about a point of it that rests at one place"
     )
+    shown.add_argument(
+        "--lanes",
+        metavar="METRES",
+        type=positive,
+        help="robots go over their parts in lanes at most so far apart, as those that polish do",
+    )
+    part.add_argument(
+        "--lift", metavar="ROBOT:METRES", help="this robot is off the surface from a third of the film to two thirds"
+    )
     part.add_argument("--glints", metavar="N", type=whole, default=0, help="glints a frame (default: 0)")
     part.add_argument(
         "--stagger", action="store_true", help="several cameras expose one after the other, not all at once"
@@ -69,7 +80,8 @@ def run(options: argparse.Namespace) -> int:
     shown, pose_of = _shown(rigs[0], options)
     warm_up(SIMULATE)
     look = Look(hidden=options.hide, glints=options.glints)
-    scenes = [Scene(rig, options.seed, look) for rig in [shown, *rigs[1:]]]
+    work = Work(options.lanes, _lift(rigs[0], options))
+    scenes = [Scene(rig, options.seed, look, work) for rig in [shown, *rigs[1:]]]
     several = len(rigs) > 1
     with new_folder(out, options.force) as made, ExitStack() as stack:
         films = [
@@ -82,6 +94,8 @@ def run(options: argparse.Namespace) -> int:
             truth = films[k].take(index, exposed_ns, pose_of)
             if world is not None:
                 world.add(films[k], exposed_ns, truth)
+    if scenes[0].lanes is not None:
+        print(f"robots drive all lanes of their parts in {scenes[0].lanes.once_s:.1f} s, then back")
     if several:
         cameras = ", ".join(rig.camera.name for rig in rigs)
         print(f"{options.frames} frames of each camera in {out} ({cameras})")
@@ -106,10 +120,32 @@ def _exposures(rigs: Sequence[Rig], options: argparse.Namespace) -> list[tuple[i
     """Exposure time in ns, number of the camera and of its frame, in the order of the times."""
     found = []
     for k, rig in enumerate(rigs):
-        rate = options.rate or rig.capture.rate_hz or DEFAULT_RATE_HZ
+        rate = _rate(rig, options)
         phase = k / len(rigs) if options.stagger else 0.0
         found += [(round((index + phase) * 1e9 / rate), k, index) for index in range(options.frames)]
     return sorted(found)
+
+
+def _rate(rig: Rig, options: argparse.Namespace) -> float:
+    return float(options.rate or rig.capture.rate_hz or DEFAULT_RATE_HZ)
+
+
+def _lift(rig: Rig, options: argparse.Namespace) -> Lift | None:
+    """Who is lifted, how far, and when. Raises InputError."""
+    if options.lift is None:
+        return None
+    argument = f"--lift {options.lift}"
+    for other, value in (("--hand", options.hand), ("--pivot", options.pivot)):
+        if value is not None:
+            raise InputError(f"{argument}: goes with robots that drive, expected no {other}")
+    robot, _, height = options.lift.rpartition(":")
+    try:
+        metres = positive(height)
+    except argparse.ArgumentTypeError as problem:
+        raise InputError(f"{argument}: {problem}; for example alpha:0.003") from None
+    _alone(rig, robot, argument)
+    seconds = options.frames / _rate(rig, options)
+    return Lift(robot, metres, seconds / 3.0, 2.0 * seconds / 3.0)
 
 
 def _shown(rig: Rig, options: argparse.Namespace) -> tuple[Rig, Callable[[int], Pose] | None]:
