@@ -28,8 +28,10 @@ EXAMPLES = (
     "asterism simulate rig.yaml film --hand alpha --frames 300\n"
     "asterism simulate rig.yaml pivot --pivot alpha:tool --frames 100\n"
     "asterism simulate left.yaml right.yaml out --stagger\n"
-    "asterism simulate rig.yaml polished --lanes 0.015 --frames 600 --rate 10\n"
+    "asterism simulate rig.yaml polished --raster --frames 600 --rate 10\n"
 )
+
+LANE_RADII = 1.5  # from lane to lane: what a tool goes over, its neighbour lane goes over a quarter of again
 
 
 def add_arguments(part: argparse.ArgumentParser) -> None:
@@ -53,10 +55,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
         "--pivot", metavar="ROBOT:POINT", help="this robot alone, tilted about a point of it that rests at one place"
     )
     shown.add_argument(
-        "--lanes",
-        metavar="METRES",
-        type=positive,
-        help="robots go over their parts in lanes at most so far apart, as those that polish do",
+        "--raster", action="store_true", help="robots go over their parts in lanes, as near as their tools' radius asks"
     )
     part.add_argument(
         "--lift", metavar="ROBOT:METRES", help="this robot is off the surface from a third of the film to two thirds"
@@ -80,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
     shown, pose_of = _shown(rigs[0], options)
     warm_up(SIMULATE)
     look = Look(hidden=options.hide, glints=options.glints)
-    work = Work(options.lanes, _lift(rigs[0], options))
+    work = Work(_lanes(rigs[0]) if options.raster else None, _lift(rigs[0], options))
     scenes = [Scene(rig, options.seed, look, work) for rig in [shown, *rigs[1:]]]
     several = len(rigs) > 1
     with new_folder(out, options.force) as made, ExitStack() as stack:
@@ -95,7 +94,8 @@ def run(options: argparse.Namespace) -> int:
             if world is not None:
                 world.add(films[k], exposed_ns, truth)
     if scenes[0].lanes is not None:
-        print(f"robots drive all lanes of their parts in {scenes[0].lanes.once_s:.1f} s, then back")
+        lanes = scenes[0].lanes
+        print(f"lanes {1e3 * lanes.apart:.1f} mm apart; robots have driven all of them after {lanes.once_s:.1f} s")
     if several:
         cameras = ", ".join(rig.camera.name for rig in rigs)
         print(f"{options.frames} frames of each camera in {out} ({cameras})")
@@ -128,6 +128,14 @@ def _exposures(rigs: Sequence[Rig], options: argparse.Namespace) -> list[tuple[i
 
 def _rate(rig: Rig, options: argparse.Namespace) -> float:
     return float(options.rate or rig.capture.rate_hz or DEFAULT_RATE_HZ)
+
+
+def _lanes(rig: Rig) -> float:
+    """How far apart lanes are, m, for those tools of the rig that are the smallest. Raises InputError."""
+    radii = [robot.stands.radius_m for robot in rig.robots if robot.stands is not None and robot.stands.radius_m]
+    if not radii:
+        raise InputError("--raster: no robot of the rig has a `radius` of its tool, expected one in its `stands`")
+    return LANE_RADII * min(radii)
 
 
 def _lift(rig: Rig, options: argparse.Namespace) -> Lift | None:

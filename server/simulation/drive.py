@@ -40,7 +40,8 @@ class Drive:
         self._work = work or Work()
         rng = np.random.default_rng([seed, 1])
         n = len(robots)
-        columns, rows = parts(n, half)
+        apart = self._work.lanes_m
+        columns, rows = parts(n, half) if apart is None else whole_parts(robots, half)
         cell_x, cell_y = 2 * self.half_x / columns, 2 * self.half_y / rows
         index = np.arange(n)
         self.centres = np.column_stack(
@@ -54,7 +55,6 @@ class Drive:
         self.phase = rng.uniform(0, 2 * math.pi, (n, 3))
         self.pulse = SPEED / max(room, 0.02) * rng.uniform(0.6, 1.0, n)  # rad/s
         self.led_brightness = rng.uniform(0.88, 1.12, (n, LEDS))
-        apart = self._work.lanes_m
         self.lanes = Lanes((cell_x, cell_y), apart) if apart is not None else None
 
     def pose(self, index: int, time_s: float) -> Pose:
@@ -113,3 +113,19 @@ def parts(robots: int, half: tuple[float, float]) -> tuple[int, int]:
     """Columns and rows of the parts that so many robots have of a table."""
     columns = max(1, min(robots, round(math.sqrt(robots * half[0] / half[1]))))
     return columns, max(1, math.ceil(robots / columns))
+
+
+def whole_parts(robots: Sequence[Robot], half: tuple[float, float]) -> tuple[int, int]:
+    """Columns and rows that leave no part of a table to nobody, as square as may be; those of `parts` where that would
+    leave too little to each.
+    """
+    n = len(robots)
+    least = 2.0 * APART * largest(robots)
+    sides = [
+        (2 * half[0] / columns, 2 * half[1] * columns / n, columns) for columns in range(1, n + 1) if n % columns == 0
+    ]
+    roomy = [(max(x / y, y / x), columns) for x, y, columns in sides if min(x, y) >= least]
+    if not roomy:
+        return parts(n, half)
+    columns = min(roomy)[1]
+    return columns, n // columns

@@ -32,31 +32,32 @@ class Work:
 
 
 class Lanes:
-    """Lanes over a part of ``size`` (x, y) m, along its x, evenly ``apart_m`` or a little less, the outer ones half of
-    that from its border. They are driven forth and back at SPEED, first from the corner of least x and y.
+    """Lanes over a part of ``size`` (x, y) m, along its longer side, evenly ``apart_m`` apart or less, the outer ones
+    half of that from its border. They are driven forth and back at SPEED, first from the corner of least x and y.
 
     All robots are at the same place of their parts: so parts touch without robots that do.
     """
 
     def __init__(self, size: tuple[float, float], apart_m: float) -> None:
-        self.count = max(1, math.ceil(size[1] / apart_m))
-        self.apart = size[1] / self.count
-        self.length = max(size[0] - self.apart, 0.0)
-        self.height = size[1]
+        self._along_y = size[1] > size[0]
+        self._across = min(size)
+        self.count = max(1, math.ceil(self._across / apart_m))
+        self.apart = self._across / self.count
+        self._length = max(max(size) - self.apart, 0.0)
 
     @property
     def once_s(self) -> float:
         """How long it takes to drive them all once."""
-        return (self.count * self.length + (self.count - 1) * self.apart) / SPEED
+        return (self.count * self._length + (self.count - 1) * self.apart) / SPEED
 
     def at(self, time_s: float) -> tuple[float, float]:
         """Where a robot is at a time, m from its part's middle."""
         way = SPEED * self.once_s
         gone = SPEED * time_s % (2.0 * way) if way > 0.0 else 0.0
         gone = min(gone, 2.0 * way - gone)
-        lane = min(int(gone // (self.length + self.apart)), self.count - 1)
-        along = gone - lane * (self.length + self.apart)
-        x, up = min(along, self.length), max(along - self.length, 0.0)
-        side = 1.0 if lane % 2 == 0 else -1.0
-        y = (lane + 0.5) * self.apart + up - 0.5 * self.height
-        return side * (x - 0.5 * self.length), y
+        lane = min(int(gone // (self._length + self.apart)), self.count - 1)
+        on = gone - lane * (self._length + self.apart)
+        there = min(on, self._length) - 0.5 * self._length
+        along = there if lane % 2 == 0 else -there
+        across = (lane + 0.5) * self.apart + max(on - self._length, 0.0) - 0.5 * self._across
+        return (across, along) if self._along_y else (along, across)

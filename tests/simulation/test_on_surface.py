@@ -104,7 +104,7 @@ def holed(x: int = 81, y: int = 61) -> Heights:
 def test_nobody_drives_beyond_the_edge_or_over_a_hole(surface: Surface, lanes: float | None) -> None:
     rig = rig_on(surface, robots=2)
     scene = Scene(rig, 1, work=Work(lanes))
-    seen = tools(rig, scene, np.arange(0.0, 60.0, 0.37))
+    seen = tools(rig, scene, np.arange(0.0, 60.0, 0.83))
     assert surface.ground(seen.reshape(-1, 3)[:, :2]).inside.all()
     assert np.ptp(seen[..., 0]) > 0.1
     assert np.linalg.norm(seen[:, 0] - seen[:, 1], axis=1).min() > 0.08
@@ -165,16 +165,32 @@ def test_a_surface_without_room_is_refused() -> None:
         Scene(rig_on(gone), 0)
 
 
-def test_lanes_come_by_everywhere_within_half_a_lane() -> None:
-    lanes = Lanes((0.30, 0.20), 0.03)
+@pytest.mark.parametrize("turned", [False, True])
+def test_lanes_come_by_everywhere_within_half_a_lane(turned: bool) -> None:
+    lanes = Lanes((0.20, 0.30) if turned else (0.30, 0.20), 0.03)
     assert lanes.apart <= 0.03
     way = np.array([lanes.at(t) for t in np.linspace(0.0, lanes.once_s, 4000)])
     speeds = np.linalg.norm(np.diff(way, axis=0), axis=1) / (lanes.once_s / 3999)
     assert np.median(speeds) == pytest.approx(0.12, rel=1e-6)
     spots = np.stack(np.meshgrid(np.linspace(-0.135, 0.135, 28), np.linspace(-0.1, 0.1, 21)), axis=-1).reshape(-1, 2)
+    spots = spots[:, ::-1] if turned else spots
     nearest = np.linalg.norm(spots[:, None] - way[None], axis=-1).min(axis=1)
     assert nearest.max() <= 0.5 * lanes.apart + 1e-4
     np.testing.assert_allclose(lanes.at(lanes.once_s + 1.0), lanes.at(lanes.once_s - 1.0), atol=1e-9)
+
+
+@pytest.mark.parametrize("robots", [2, 5])
+def test_in_lanes_robots_go_over_all_of_their_table_and_never_touch(robots: int) -> None:
+    rig = rig_on(TILTED, robots=robots)
+    scene = Scene(rig, 1, work=Work(0.03))
+    assert scene.lanes is not None
+    seen = tools(rig, scene, np.arange(0.0, scene.lanes.once_s, 0.1))[..., :2]
+    apart = np.linalg.norm(seen[:, :, None] - seen[:, None], axis=-1) + np.eye(robots)
+    assert apart.min() > 0.12
+    half = np.array(scene.table.half) - 0.015
+    spots = np.stack(np.meshgrid(*[np.linspace(-side, side, 23) for side in half]), axis=-1).reshape(-1, 2)
+    nearest = np.linalg.norm(spots[:, None] - seen.reshape(-1, 2)[None], axis=-1).min(axis=1)
+    assert nearest.max() < 0.023  # half a lane, or where lanes of two parts end before each other
 
 
 def test_a_lifted_robot_is_off_the_surface_by_so_much_for_so_long() -> None:
