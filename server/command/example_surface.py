@@ -1,0 +1,54 @@
+"""What `asterism example --surface` writes: a mould as it is and as it was drawn, a rig that knows nothing of it."""
+
+from pathlib import Path
+from string import Template
+
+import numpy as np
+
+from asterism.protocol.geometry import Pose
+from asterism.protocol.heights_file import heights_text
+from asterism.protocol.surface import Heights
+from asterism.server.calibration.lens.camera_file import camera_text
+from asterism.server.command.example_texts import range_line, robot_lines, row, world_lines
+from asterism.server.simulation.measured_mould import BOTTOM_M, MeasuredMould, draw_mould
+from asterism.server.simulation.measured_rig import TRUTH_MARK
+from asterism.server.simulation.stl_writer import block_stl
+
+README = Path(__file__).parent.parent / "simulation" / "example" / "surface.md"
+TRUE_MOULD = "true-mould.csv"
+
+
+def files_with_surface(seed: int) -> dict[str, str | bytes]:
+    """The folder's files by name."""
+    mould = draw_mould(seed)
+    surface = mould.true.surface
+    assert surface is not None
+    assert isinstance(surface.shape, Heights)
+    x, y, _ = surface.T_world_surface.map(np.array([*mould.dent, 0.0]))
+    return {
+        "README.md": Template(README.read_text(encoding="utf-8")).substitute(
+            seed=seed, dent_x=f"{x:.2f}", dent_y=f"{y:.2f}"
+        ),
+        "camera.yaml": camera_text(mould.true.camera),
+        "rig.yaml": _rig(mould, "# The rig, calibrated; nothing is known yet of what robots stand on.", []),
+        "mould.stl": block_stl(mould.drawing, BOTTOM_M),
+        "true.yaml": _rig(mould, TRUTH_MARK, _surface_lines(surface.T_world_surface)),
+        TRUE_MOULD: f"{TRUTH_MARK}\n{heights_text(surface.shape)}",
+    }
+
+
+def _rig(mould: MeasuredMould, remark: str, surface: list[str]) -> str:
+    place = mould.true.T_world_camera
+    assert place is not None
+    lines = [remark, "camera: camera.yaml", range_line(mould.true), *world_lines(place, 6), *surface, "robots:"]
+    for robot in mould.true.robots:
+        lines += robot_lines(robot, 4, "m")
+    return "\n".join(lines) + "\n"
+
+
+def _surface_lines(frame: Pose) -> list[str]:
+    return [
+        "surface:",
+        f"  heights: {TRUE_MOULD}",
+        f"  frame: {{position: {row(frame.position, 6)}, orientation: {row(frame.orientation, 9)}}}",
+    ]
