@@ -41,4 +41,5 @@ def _binary(triangles: Floats) -> bytes:
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     facets["normal"] = across / np.linalg.norm(across, axis=1, keepdims=True)
     facets["corners"] = triangles
-    return b"a mould as it was drawn, m".ljust(80) + count.tobytes() + facets.tobytes()
+    head = b"a mould as it was drawn, m".ljust(80) + len(triangles).to_bytes(4, "little")
+    return head + facets.tobytes()
