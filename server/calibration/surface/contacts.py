@@ -1,0 +1,42 @@
+"""Where robots touched what they stand on: a point of each in every frame, how sure it is, and what is wrong in all."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.protocol.geometry import Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contacts:
+    """n touches, in the world. ``ids`` (r,) are the robots, ``names`` (r,) the point by which each stands.
+
+    ``points`` (n, 3) m and ``covariances`` (n, 3, 3) m^2 of what is new in every touch; ``axes`` (n, 3) unit, what is to
+    be along the normal, and ``axis_covariances`` (n, 3, 3) rad^2; ``other_points`` and ``other_axes`` (n, 3) by the
+    pose's other tilt, nan where there is no doubt. ``robots`` (n,) by their place in ``ids``; ``times_s`` (n,);
+    ``frames`` (n,) how many frames one touch stands for.
+
+    ``shared`` (n, 3, k) m: how the point moves for one sigma of each of k causes that its robot's touches share, and no
+    other robot's (where its LEDs are).
+    """
+
+    ids: tuple[str, ...]
+    names: tuple[str, ...]
+    robots: NDArray[np.int64]
+    times_s: Floats
+    frames: NDArray[np.int64]
+    points: Floats
+    covariances: Floats
+    axes: Floats
+    axis_covariances: Floats
+    other_points: Floats
+    other_axes: Floats
+    shared: Floats
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __getitem__(self, rows: "NDArray[np.bool_] | NDArray[np.int64]") -> "Contacts":
+        parts = [each.name for each in fields(self) if each.name not in ("ids", "names")]
+        return replace(self, **{name: getattr(self, name)[rows] for name in parts})
