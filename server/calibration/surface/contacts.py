@@ -12,8 +12,8 @@ from asterism.protocol.geometry import Floats
 class Contacts:
     """n touches, in the world. ``ids`` (r,) are the robots, ``names`` (r,) the point by which each stands.
 
-    ``points`` (n, 3) m and ``covariances`` (n, 3, 3) m^2 of what is new in every touch; ``axes`` (n, 3) unit, what is to
-    be along the normal, and ``axis_covariances`` (n, 3, 3) rad^2; ``other_points`` and ``other_axes`` (n, 3) by the
+    ``points`` (n, 3) m and ``covariances`` (n, 3, 3) m^2 of what is new in every touch; ``axes`` (n, 3) unit, what is
+    to be along the normal, and ``axis_covariances`` (n, 3, 3) rad^2; ``other_points`` and ``other_axes`` (n, 3) by the
     pose's other tilt, nan where there is no doubt. ``robots`` (n,) by their place in ``ids``; ``times_s`` (n,);
     ``frames`` (n,) how many frames one touch stands for.
 
