@@ -100,13 +100,18 @@ def settled(touches: Touches, shape: Shape, priors: Priors, start: Floats | None
     return _fitted(shape, found, touches, (equations, noise.variances(touches, equations), used), noise)
 
 
-def noise_of(touches: Touches, residuals: Floats, variances: Floats, used: NDArray[np.bool_]) -> Noise:
-    """What residuals that are used scatter beside what poses tell, robot by robot, and how long errors stay."""
+def noise_of(
+    touches: Touches, residuals: Floats, variances: Floats, used: NDArray[np.bool_], numbers: float = 0.0
+) -> Noise:
+    """What residuals that are used scatter beside what poses tell, robot by robot, and how long errors stay; so many
+    ``numbers`` were fitted to them.
+    """
     factors = np.ones(touches.count)
+    fewer = max(1.0 - numbers / max(used.sum(), 1), 0.1)
     for robot in range(touches.count):
         mine = used & (touches.robots == robot)
         if mine.any():
-            factors[robot] = max(float(np.mean(residuals[mine] ** 2 / variances[mine])), LEAST_FACTOR)
+            factors[robot] = max(float(np.mean(residuals[mine] ** 2 / variances[mine])) / fewer, LEAST_FACTOR)
     return Noise(factors, _stays(touches, residuals / np.sqrt(factors[touches.robots] * variances), used))
 
 

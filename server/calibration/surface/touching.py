@@ -82,6 +82,7 @@ def _of_robot(
         by @ covariances @ np.swapaxes(by, 1, 2),
         axes[starts, 0],
         leaning @ covariances[:, 3:, 3:] @ np.swapaxes(leaning, 1, 2),
+        located.rotations[first, 0],
         points[starts, 1],
         axes[starts, 1],
         by @ _pose_by_leds(rig, robot, located.rotations[first, 0], located.ts[first, 0], stand.led_shapes),

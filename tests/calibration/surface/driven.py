@@ -1,5 +1,5 @@
-"""Robots that drive on a surface for some time, without images: spots drawn with the noise of their light, solved as the
-chain does; the truth is plain functions that share nothing with what is fitted.
+"""Robots that drive on a surface for some time, without images: spots drawn with the noise of their light, solved as
+the chain does; the truth is plain functions that share nothing with what is fitted.
 """
 
 from collections.abc import Callable
