@@ -24,11 +24,11 @@ def check_touches(source: str, contacts: Contacts) -> None:
         )
 
 
-def check_places(source: str, xy: Floats) -> None:
-    """Raise InputError where touches (n, 2) m lie in too few patches, or along one line."""
-    middle = xy - xy.mean(axis=0)
-    narrow, long = np.sqrt(np.maximum(np.linalg.eigvalsh(middle.T @ middle / len(xy)), 0.0))
-    patches = len(np.unique(np.floor(xy / PATCH_M), axis=0))
+def check_places(source: str, points: Floats) -> None:
+    """Raise InputError where touches (n, 3) m lie in too few patches, or along one line."""
+    middle = points - points.mean(axis=0)
+    _, narrow, long = np.sqrt(np.maximum(np.linalg.eigvalsh(middle.T @ middle / len(points)), 0.0))
+    patches = len(np.unique(np.floor(points / PATCH_M), axis=0))
     if narrow < NARROWEST_M and long > 4.0 * narrow:
         raise InputError(
             f"{source}: robots drove along one line only ({2e3 * narrow:.1f} mm across it, {2e3 * long:.0f} mm along "
