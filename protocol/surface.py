@@ -170,6 +170,21 @@ def _weights(t: Floats) -> tuple[Floats, Floats, Floats]:
     return np.stack(values), np.stack(slopes), np.stack(bends)
 
 
+def between_nodes(values: Floats, every: int) -> Floats:
+    """A grid's ``values`` (nx, ny) and what `Heights` has at ``every`` - 1 places between each two of them along x and
+    y: ((nx - 1) every + 1, (ny - 1) every + 1).
+    """
+    for _ in range(2):
+        padded = np.pad(values, ((1, 2), (0, 0)), constant_values=np.nan)
+        patch = _filled(np.stack([padded[k : k + len(values)] for k in range(4)]))
+        patch[2:, -1] = patch[1, -1]  # behind the last node nothing is asked for
+        weights = _weights(np.arange(every) / every)[0]
+        dense = np.einsum("an,aij->inj", weights, patch)
+        dense[:, 0] = values  # where there is a node there is its value, whatever is beside it
+        values = dense.reshape(-1, values.shape[1])[: (len(values) - 1) * every + 1].T
+    return values
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
     """A surface where it is: its ``shape`` in its own frame, ``T_world_surface``; how well it is known besides what a
@@ -241,3 +256,21 @@ def within(polygon: Floats, xy: Floats) -> NDArray[np.bool_]:
         with np.errstate(all="ignore"):
             inside ^= crossed & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
     return inside
+
+
+def crossing(polygon: Floats) -> tuple[int, int] | None:
+    """Two sides of a polygon (k, 2), by the corners they begin at, that cross or lie on one another; None: none do."""
+    ends = np.roll(polygon, -1, axis=0)
+
+    def left(a: Floats, b: Floats, c: Floats) -> Floats:
+        turned: Floats = (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1])
+        return turned - (b[..., 1] - a[..., 1]) * (c[..., 0] - a[..., 0])
+
+    for k in range(len(polygon)):
+        others = np.arange(k + 2, len(polygon) - (k == 0))  # not its neighbours
+        a, b, c, d = polygon[k], ends[k], polygon[others], ends[others]
+        apart = (np.maximum(a, b) < np.minimum(c, d)).any(axis=1) | (np.maximum(c, d) < np.minimum(a, b)).any(axis=1)
+        crossed = (left(a, b, c) * left(a, b, d) <= 0.0) & (left(c, d, a) * left(c, d, b) <= 0.0) & ~apart
+        if crossed.any():
+            return k, int(others[int(np.argmax(crossed))])
+    return None

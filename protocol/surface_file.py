@@ -5,7 +5,8 @@ surface:                               # one of plane, quadric, heights, stl
   plane: {point: [0, 0, 0], normal: [0, 0, 1]}                      # the normal points out of the material
   quadric: {about: [0, 0, -1], terms: {one: -1, xx: 1, yy: 1, zz: 1}}   # 0 = their sum, which grows outwards
   heights: mould.csv                   # header x,y,z or x,y,z,sigma: the nodes of a grid, m
-  stl: mould.stl                       # as a grid of heights, of what is seen from the frame's +z
+  stl: mould.stl                       # as a grid of heights, of what is seen from the frame's +z ...
+  scale: 0.001                         # ... optional: of a file in mm
   frame: {position: [0, 0, 0], orientation: [0, 0, 0, 1]}   # optional T_world_surface; its z points out of the material
   sigma: 0.00005                       # optional: how well it is known along its normal, m, one sigma
   tilt_sigma_deg: 0.05                 # optional: and in its direction
@@ -22,15 +23,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asterism.protocol import heights_file
 from asterism.protocol.geometry import Floats, Pose, frozen_array
 from asterism.protocol.heights_file import parse_heights
 from asterism.protocol.rig_files import Named
-from asterism.protocol.rig_hints import refuse_millimetres
-from asterism.protocol.surface import HEIGHTS, PLANE, QUADRIC, STL, TERMS, Heights, Quadric, Surface
+from asterism.protocol.rig_hints import STANDS_WORDS, SURFACE_WORDS, refuse_millimetres
+from asterism.protocol.surface import HEIGHTS, PLANE, QUADRIC, STL, TERMS, Heights, Quadric, Surface, crossing
 from asterism.protocol.yaml_file import Section
 
 KINDS = (PLANE, QUADRIC, HEIGHTS, STL)
-SURFACE_KEYS = (*KINDS, "frame", "sigma", "tilt_sigma_deg", "edge")
+SURFACE_KEYS = (*KINDS, "scale", "frame", "sigma", "tilt_sigma_deg", "edge")
 STANDS_KEYS = ("point", "sigma", "tilt_sigma_deg", "axis")
 LARGEST_SIGMA_M = 0.05
 LARGEST_TILT_DEG = 45.0
@@ -57,11 +59,13 @@ def read_surface(section: Section, named: Named) -> tuple[Surface, dict[str, str
 
     Raises InputError with file, key, what was found and what is accepted.
     """
-    section.only(SURFACE_KEYS)
+    section.only(SURFACE_KEYS, SURFACE_WORDS)
     given = [kind for kind in KINDS if kind in section]
     if len(given) != 1:
         found = " and ".join(given) or "none"
         raise section.error(None, f"has {found} of {', '.join(KINDS)}, expected one")
+    if "scale" in section and given[0] != STL:
+        raise section.error("scale", f"is of an `stl` only, expected none beside `{given[0]}`, whose lengths are m")
     texts: dict[str, str] = {}
     if given[0] == PLANE:
         shape = _plane(section.section(PLANE))
@@ -69,7 +73,8 @@ def read_surface(section: Section, named: Named) -> tuple[Surface, dict[str, str
         shape = _quadric(section.section(QUADRIC))
     else:
         name = section.text(given[0])
-        texts[name], where = named(section, given[0], name, "the nodes of a grid, m: x,y,z or x,y,z,sigma")
+        what = "an STL" if given[0] == STL else heights_file.WHAT
+        texts[name], where = named(section, given[0], name, what)
         return _surface(section, parse_heights(texts[name], where)), texts
     return _surface(section, shape), texts
 
@@ -83,7 +88,50 @@ def _surface(section: Section, shape: Quadric | Heights) -> Surface:
     )
     if "edge" in section and len(edge) < 3:
         raise section.error("edge", f"{len(edge)} corners, expected three or more")
-    return Surface(shape, frame, sigma, tilt, edge.reshape(-1, 2))
+    surface = Surface(shape, frame, sigma, tilt, edge.reshape(-1, 2))
+    _refuse_edge(section, surface)
+    return surface
+
+
+def _refuse_edge(section: Section, surface: Surface) -> None:
+    """Refuse an edge in mm, one that crosses itself, and one within which there is no surface."""
+    edge = surface.edge
+    if not len(edge):
+        if isinstance(surface.shape, Quadric) and not surface.ground(surface.shape.about[None, :2]).inside.any():
+            near = np.concatenate([_around(half) for half in (0.2, 1.0, 5.0)])
+            _refuse_unreal(section, surface, surface.shape.about[:2] + near)
+        return
+    refuse_millimetres(section, "edge", edge.ravel().tolist())
+    if (crossed := crossing(edge)) is not None:
+        raise section.error(
+            "edge",
+            f"its sides from corners {crossed[0] + 1} and {crossed[1] + 1} cross, expected corners in order around the "
+            "surface",
+        )
+    low, high = edge.min(axis=0), edge.max(axis=0)
+    _refuse_unreal(section, surface, 0.5 * (low + high) + _around(1.0) * (high - low) / 2.0)
+
+
+def _around(half: float) -> Floats:
+    places = np.linspace(-half, half, 66)[1:-1]
+    return np.stack(np.meshgrid(places, places, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def _refuse_unreal(section: Section, surface: Surface, places: Floats) -> None:
+    if surface.ground(places).inside.any():
+        return
+    shape = surface.shape
+    if isinstance(shape, Heights):
+        last = shape.origin + shape.step * (np.array(shape.values.shape) - 1)
+        raise section.error(
+            "edge",
+            f"there is nothing of the grid within it, whose nodes are at x {shape.origin[0]:.4g} to {last[0]:.4g} and "
+            f"y {shape.origin[1]:.4g} to {last[1]:.4g} m",
+        )
+    told = "expected a sum that is 0 on the surface and grows out of it, along z (are all signs the other way round?)"
+    if len(surface.edge):
+        raise section.error("edge", f"there is no surface within it, {told}")
+    raise section.error(None, f"there is no surface within 5 m of `about`, {told}")
 
 
 def _plane(section: Section) -> Quadric:
@@ -145,7 +193,7 @@ def read_stands(section: Section, points: Mapping[str, Floats], axis: Floats) ->
 
     Raises InputError with file, key, what was found and what is accepted.
     """
-    section.only(STANDS_KEYS)
+    section.only(STANDS_KEYS, STANDS_WORDS)
     point = section.text("point")
     if point not in points:
         has = ", ".join(points) or "none"
