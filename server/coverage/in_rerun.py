@@ -29,11 +29,15 @@ def write_rrd(told: Summary, out: Path) -> None:
 
     stream = rr.RecordingStream("asterism", recording_id=f"coverage-{told.camera}")
     names = [part(robot) for robot in told.covered.robots]
+    seen_from, middle = _eye(told)
+    eye = rrb.EyeControls3D(position=seen_from, look_target=middle, eye_up=[0.0, 0.0, 1.0])
     before = ["", *(f"robots/{name}/" for name in names)]
     tabs = [
         rrb.Grid(
             *(
-                rrb.Spatial3DView(origin=f"/{path}{what}", name=f"{words}: blue little, yellow much, grey never")
+                rrb.Spatial3DView(
+                    origin=f"/{path}{what}", name=f"{words}: blue little, yellow much, grey never", eye_controls=eye
+                )
                 for what, words in QUANTITIES.items()
             ),
             name=title,
@@ -68,6 +72,16 @@ def _box(told: Summary) -> tuple[Floats, Floats]:
     """Least and greatest x, y m of the patches."""
     grid = told.covered.grid
     return grid.pitch_m * np.array(grid.box[:2]), grid.pitch_m * np.array(grid.box[2:])
+
+
+def _eye(told: Summary) -> tuple[Floats, Floats]:
+    """From where the surface's middle is looked at, and that, (3,) m in the world: from its front, well above it."""
+    least, greatest = _box(told)
+    middle = 0.5 * (least + greatest)
+    place, size = told.covered.grid.surface.T_world_surface, max(float(np.linalg.norm(greatest - least)), 0.1)
+    height = np.nan_to_num(told.covered.grid.surface.ground(middle).heights[0])
+    target = np.append(middle, height)
+    return place.map(target + size * np.array([0.0, -0.55, 0.75])), place.map(target)
 
 
 def _on_the_grid(told: Summary, mesh: Mesh) -> Floats:

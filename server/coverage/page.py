@@ -176,7 +176,7 @@ def _regions(regions: Regions, file: str) -> str:
         return "<p>None.</p>"
     more = len(regions.found) - SHOWN
     rest = f"<p>{more} more are in <code>{file}</code>.</p>" if more > 0 else ""
-    head = ("number", "area", "x, y, z in the world, m", "length x width, mm", "mean dwell", "most dwell", "by", "last")
+    head = ("no.", "area", "x, y, z in the world, m", "length x width, mm", "mean dwell", "most dwell", "by", "last")
     return _table(head, [_region(each) for each in regions.found[:SHOWN]]) + rest
 
 

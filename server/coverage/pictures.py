@@ -89,7 +89,7 @@ def _quantities(told: Summary) -> Mapping[str, Quantity]:
     return {
         "dwell": Quantity("dwell, s", lambda each: each.dwell_s, 0.0, (limit if much else dwell) or 1.0, much),
         "passes": Quantity("passes", lambda each: each.passes.astype(np.float64), 0.0, max(passes, 1.0), whole=True),
-        "speed": Quantity("speed, m/s", lambda each: each.speed, 0.0, fast or 1.0, bool((speeds > fast).any())),
+        "speed": Quantity("speed, m/s", lambda each: each.speed, 0.0, fast or 1.0, bool((speeds > 1.01 * fast).any())),
         "last": Quantity(
             "last visit, s" if film else "last visit, UTC", _times, least, max(most, least + 1e-5), times=not film
         ),
@@ -183,7 +183,8 @@ def _arrows(axes: Axes, grid: Grid, visits: Visits) -> None:
     )
     with np.errstate(invalid="ignore"):
         x, y = shift_x / path, shift_y / path
-    drawn = np.hypot(x, y) > STRAIGHT
+    there = _summed(visits.visited.astype(np.float64), step)
+    drawn = (np.hypot(x, y) > STRAIGHT) & (there > 0.5 * step**2)
     # Squares at the grid's end may be cut: the middle is that of the patches there are.
     xs = np.array([grid.x_m[k : k + step].mean() for k in range(0, len(grid.x_m), step)])
     ys = np.array([grid.y_m[k : k + step].mean() for k in range(0, len(grid.y_m), step)])
