@@ -76,7 +76,7 @@ class Poses:
 
 
 def measured(case: Case, draws: int) -> tuple[Poses, Poses, int]:
-    """Poses by light alone, and with the surface; how often the answer's own `without` is not what light alone gives."""
+    """Poses by light alone, and with the surface; how often an answer's own `without` is not what light alone gives."""
     light, both, other = Poses(), Poses(), 0
     frames = -(-draws // ROBOTS)
     for sighting in track(sightings(case, draws), case.name, frames, transient=True):

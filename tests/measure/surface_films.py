@@ -1,7 +1,7 @@
 """Films of robots on a surface for `tests.measure.surface`: one is lifted; the rig has the surface wrong.
 
-`lifted`: five robots drive; one is lifted by 1 mm along the normal for fifteen frames, then set down. Every robot stands
-off by a draw of its own that stays. Told by light alone: the first frame in which its distance, solved without a
+`lifted`: five robots drive; one is lifted by 1 mm along the normal for fifteen frames, then set down. Every robot
+stands off by a draw of its own that stays. Told by light alone: the first frame in which its distance, solved without a
 surface, is 5 of its sigmas (the pose's, the stand's and the surface's together).
 
 `wrong`: the rig has the surface 1 mm too high or too low, or turned by 0.5 degrees about its middle. In which frame
