@@ -1,4 +1,4 @@
-"""A surface that is not where the rig has it is said within ten frames, when robots agree; a lifted one is no reason."""
+"""A surface that is not where the rig has it is said within ten frames, when robots agree; a lifted one is no cause."""
 
 from collections.abc import Callable
 from dataclasses import replace
