@@ -51,6 +51,15 @@ def sight_of(rig: Rig) -> Sight | None:
     return Sight(share, float(depths.min()), float(depths.max()), in_range, ends)
 
 
+def sight_sentence(sight: Sight) -> str:
+    """What the camera sees of the surface, for a person."""
+    if sight.share == 0.0:
+        return UNSEEN
+    whole = "the surface" if sight.ends else f"the surface within {_REACH:g} times its distance"
+    outside = f"; {1.0 - sight.in_range:.0%} of that is outside the rig's `range`" if sight.in_range < 0.995 else ""
+    return f"the camera sees {sight.share:.0%} of {whole}, {sight.near_m:.3g} to {sight.far_m:.3g} m away{outside}"
+
+
 def _places(surface: Surface, eye: Floats) -> tuple[Floats, bool]:
     """Places (n, 2) all over a surface, and whether it ends."""
     if len(surface.edge):
