@@ -79,6 +79,16 @@ class Recording:
                 rigs += [(first.sequence, rig_told(metadata, str(self.path))) for first in islice(reports, 1)]
         return rigs
 
+    def files(self) -> list[tuple[Path, Rig]]:
+        """The files of messages, each with the rig that was in force in it. Raises InputError like `rig`."""
+        found, told, rig = [], rig_files(self.metadata), self.rig()
+        for file in self._poses:
+            metadata = self._metadata_of(file) or {}
+            if RIG in metadata and rig_files(metadata) != told:
+                told, rig = rig_files(metadata), rig_told(metadata, str(self.path))
+            found.append((file, rig))
+        return found
+
     def messages(self) -> Iterator[Message]:
         """Everything but the images, as it was written."""
         return chain.from_iterable(self._messages(file) for file in self._poses)
