@@ -33,7 +33,7 @@ class Work:
 
 class Lanes:
     """Lanes over a part of ``size`` (x, y) m, along its longer side, evenly ``apart_m`` apart or less, the outer ones
-    half of that from its border. They are driven forth and back at SPEED, first from the corner of least x and y.
+    half of that from its border, their ends an eighth. They are driven forth and back at SPEED, first from the corner of least x and y.
 
     All robots are at the same place of their parts: so parts touch without robots that do.
     """
@@ -43,7 +43,7 @@ class Lanes:
         self._across = min(size)
         self.count = max(1, math.ceil(self._across / apart_m))
         self.apart = self._across / self.count
-        self._length = max(max(size) - self.apart, 0.0)
+        self._length = max(max(size) - 0.25 * self.apart, 0.0)
 
     @property
     def once_s(self) -> float:
