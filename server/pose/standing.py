@@ -53,6 +53,8 @@ from asterism.server.pose.systematic import ITERATIONS, systematic
 from asterism.server.pose.track import is_fresh
 
 TILT_DENIED = 28.7  # chi squared of both tilts together that is as unlikely as 5 sigma
+NO_TILT = 80.0  # chi squared of a tilt against the normal beyond which no pose with the surface is: odds of e^40
+SAME_START = math.radians(0.5)  # starts no further apart lead to one pose
 SETTLE = 3  # Gauss-Newton steps that bring shared errors in
 
 
@@ -98,11 +100,21 @@ def _begin(which, underfoot, work):
 
 @compiled
 def _refine_all(robot, solutions, k, underfoot, count, focal, work):
-    """Refine with the surface from both minima and from the pose nearest to it."""
+    """Refine with the surface from the pose nearest to it, and from those minima that may lead elsewhere: which are
+    neither near that pose, nor so far from the normal that the surface lets none of their kind be.
+    """
+    stance = work.stance
     for which in range(3):
         work.costs[which] = NO_SOLUTION
-        if which < 2 and not solutions.costs[k, which] < NO_SOLUTION:
-            continue
+        if which < 2:
+            if not solutions.costs[k, which] < NO_SOLUTION:
+                continue
+            rotation = work.rotations[which]
+            if not fill_stance(rotation, work.ts[which], stance, underfoot, False):
+                continue
+            denied = stance.weights[1] * (stance.off[1] ** 2 + stance.off[2] ** 2) > NO_TILT
+            if denied or angle_between(rotation, work.rotations[2]) < SAME_START:
+                continue
         lit = seen_of(work, count, work.room.information)
         work.costs[which] = refine_standing(
             work.rotations[which], work.ts[which], lit, robot.optics, work.stance, underfoot, ITERATIONS, focal
@@ -142,8 +154,10 @@ def _choose(robot, alone, k, underfoot, count, focal, work):
     # What is known beforehand, of frames before and of the rig, is what light's choice rests on beyond its costs.
     solutions, chosen = alone.solutions, alone.choices.best[k]
     if solutions.costs[k, 0] < NO_SOLUTION and solutions.costs[k, 1] < NO_SOLUTION:
-        before = math.log(alone.choices.odds[k])
-        before -= 0.5 * (solutions.costs[k, 1 - chosen] - solutions.costs[k, chosen])
+        # Odds that are told no higher hide what of them was known before.
+        odds = alone.choices.odds[k]
+        before = math.log(odds) if odds < MOST_ODDS else 0.0
+        before -= 0.5 * (solutions.costs[k, 1 - chosen] - solutions.costs[k, chosen]) if odds < MOST_ODDS else 0.0
         near = angle_between(solutions.rotations[k, chosen], work.rotations[best])
         far = angle_between(solutions.rotations[k, chosen], work.rotations[other])
         evidence += before if near <= far else -before
