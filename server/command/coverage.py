@@ -39,6 +39,8 @@ def run(options: argparse.Namespace) -> int:
     from asterism.server.command.coverage_tables import print_coverage
     from asterism.server.command.progress import working
     from asterism.server.coverage.days import days_of
+    from asterism.server.coverage.folder import write_folder
+    from asterism.server.coverage.summary import Summary
     from asterism.server.output import check_folder, new_folder
     from asterism.server.service.say import say
 
@@ -49,9 +51,12 @@ def run(options: argparse.Namespace) -> int:
         say(f"{day.path}: passed over, what was joined of its camera '{day.camera}' is there as well")
     found, added = _added_up(days)
     print_coverage(found, added)
-    with new_folder(options.out, options.force) as out:
-        _write(out.path, found)
+    cameras = ", ".join(dict.fromkeys(day.camera for day in days))
+    with new_folder(options.out, options.force) as out, working("drawing"):
+        told = write_folder(Summary.of(cameras, found, added), out.path)
     say(f"wrote {options.out}{out.note}")
+    if told:
+        say(told)
     return 0
 
 
@@ -81,9 +86,3 @@ def _added_up(days: "list[Day]") -> "tuple[CoverageMap, list[Added]]":
             coverage = add_recorded(coverage.cut(), day.parts, show)
             added.append(added_by(str(day.path), *day.span, before, coverage.map))
     return coverage.map, added
-
-
-def _write(folder: Path, found: "CoverageMap") -> None:
-    from asterism.server.coverage.saved import save
-
-    save(folder / "coverage.npz", found)
