@@ -7,7 +7,12 @@ Beside `camera.yaml` lies `camera.report.yaml`, what its calibration knows of it
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from asterism.protocol.text_file import read_text
+from asterism.protocol import heights_file
+from asterism.protocol.heights_file import heights_text
+from asterism.protocol.stl_file import load_triangles
+from asterism.protocol.stl_heights import stl_heights
+from asterism.protocol.surface import HEIGHTS, STL
+from asterism.protocol.text_file import MOST_BYTES, read_text
 from asterism.protocol.yaml_file import Section
 
 UNCERTAINTY = "uncertainty.yaml"
@@ -54,15 +59,25 @@ def uncertainty_of(files: Mapping[str, str]) -> tuple[str, str] | None:
 
 
 def on_disk(folder: Path) -> Named:
-    """Files as they lie in a rig's folder."""
+    """Files as they lie in a rig's folder; of an STL the table of heights that it becomes, which is what is used, sent
+    and recorded.
+    """
 
     def text_of(section: Section, key: str, name: str, what: str) -> tuple[str, str]:
         file = folder / name
-        if not file.is_file():
+        if not file.exists():
             raise section.error(key, f"there is no file {file}, expected {what}")
-        return read_text(file, what), str(file)
+        if key == STL:
+            return _table(section, file), str(file)
+        return read_text(file, what, heights_file.MOST_BYTES if key == HEIGHTS else MOST_BYTES), str(file)
 
     return text_of
+
+
+def _table(section: Section, file: Path) -> str:
+    """The table of heights that an STL becomes; `scale` beside its name takes its unit to m."""
+    scale = section.number("scale", above=0.0) if "scale" in section else 1.0
+    return heights_text(stl_heights(scale * load_triangles(file), str(file)))
 
 
 def kept(files: Mapping[str, str], where: str) -> Named:

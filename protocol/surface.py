@@ -170,6 +170,21 @@ def _weights(t: Floats) -> tuple[Floats, Floats, Floats]:
     return np.stack(values), np.stack(slopes), np.stack(bends)
 
 
+def between_nodes(values: Floats, every: int) -> Floats:
+    """A grid's ``values`` (nx, ny) and what `Heights` has at ``every`` - 1 places between each two of them along x and
+    y: ((nx - 1) every + 1, (ny - 1) every + 1).
+    """
+    for _ in range(2):
+        padded = np.pad(values, ((1, 2), (0, 0)), constant_values=np.nan)
+        patch = _filled(np.stack([padded[k : k + len(values)] for k in range(4)]))
+        patch[2:, -1] = patch[1, -1]  # behind the last node nothing is asked for
+        weights = _weights(np.arange(every) / every)[0]
+        dense = np.einsum("an,aij->inj", weights, patch)
+        dense[:, 0] = values  # where there is a node there is its value, whatever is beside it
+        values = dense.reshape(-1, values.shape[1])[: (len(values) - 1) * every + 1].T
+    return values
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
     """A surface where it is: its ``shape`` in its own frame, ``T_world_surface``; how well it is known besides what a

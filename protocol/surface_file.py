@@ -5,7 +5,8 @@ surface:                               # one of plane, quadric, heights, stl
   plane: {point: [0, 0, 0], normal: [0, 0, 1]}                      # the normal points out of the material
   quadric: {about: [0, 0, -1], terms: {one: -1, xx: 1, yy: 1, zz: 1}}   # 0 = their sum, which grows outwards
   heights: mould.csv                   # header x,y,z or x,y,z,sigma: the nodes of a grid, m
-  stl: mould.stl                       # as a grid of heights, of what is seen from the frame's +z
+  stl: mould.stl                       # as a grid of heights, of what is seen from the frame's +z ...
+  scale: 0.001                         # ... optional: of a file in mm
   frame: {position: [0, 0, 0], orientation: [0, 0, 0, 1]}   # optional T_world_surface; its z points out of the material
   sigma: 0.00005                       # optional: how well it is known along its normal, m, one sigma
   tilt_sigma_deg: 0.05                 # optional: and in its direction
@@ -22,6 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asterism.protocol import heights_file
 from asterism.protocol.geometry import Floats, Pose, frozen_array
 from asterism.protocol.heights_file import parse_heights
 from asterism.protocol.rig_files import Named
@@ -30,7 +32,7 @@ from asterism.protocol.surface import HEIGHTS, PLANE, QUADRIC, STL, TERMS, Heigh
 from asterism.protocol.yaml_file import Section
 
 KINDS = (PLANE, QUADRIC, HEIGHTS, STL)
-SURFACE_KEYS = (*KINDS, "frame", "sigma", "tilt_sigma_deg", "edge")
+SURFACE_KEYS = (*KINDS, "scale", "frame", "sigma", "tilt_sigma_deg", "edge")
 STANDS_KEYS = ("point", "sigma", "tilt_sigma_deg", "axis")
 LARGEST_SIGMA_M = 0.05
 LARGEST_TILT_DEG = 45.0
@@ -62,6 +64,8 @@ def read_surface(section: Section, named: Named) -> tuple[Surface, dict[str, str
     if len(given) != 1:
         found = " and ".join(given) or "none"
         raise section.error(None, f"has {found} of {', '.join(KINDS)}, expected one")
+    if "scale" in section and given[0] != STL:
+        raise section.error("scale", f"is of an `stl` only, expected none beside `{given[0]}`, whose lengths are m")
     texts: dict[str, str] = {}
     if given[0] == PLANE:
         shape = _plane(section.section(PLANE))
@@ -69,7 +73,8 @@ def read_surface(section: Section, named: Named) -> tuple[Surface, dict[str, str
         shape = _quadric(section.section(QUADRIC))
     else:
         name = section.text(given[0])
-        texts[name], where = named(section, given[0], name, "the nodes of a grid, m: x,y,z or x,y,z,sigma")
+        what = "an STL" if given[0] == STL else heights_file.WHAT
+        texts[name], where = named(section, given[0], name, what)
         return _surface(section, parse_heights(texts[name], where)), texts
     return _surface(section, shape), texts
 
