@@ -1,0 +1,1 @@
+"""The surface that robots drive on, from their poses."""
