@@ -19,6 +19,7 @@ from asterism.protocol import keys
 from asterism.protocol.codec import decode_event, decode_frame_report, report_pose
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import Happening, State
+from asterism.protocol.standing import surface_as_json
 
 if TYPE_CHECKING:
     import zenoh
@@ -158,6 +159,8 @@ def _robot(robot: "pb.RobotReport", server: ServerState, frame_id: str) -> dict[
         told["velocity"] = {"linear": [v.x, v.y, v.z], "angular": [w.x, w.y, w.z], "covariance": covariance}
     if robot.extrapolated:
         told["extrapolated"] = True
+    if robot.HasField("surface"):
+        told["surface"] = surface_as_json(robot.surface)
     return told
 
 

@@ -12,6 +12,7 @@ GAP = 2
 NAME_CELLS = 12  # of a name on a narrow terminal
 REASON_CELLS = 16  # a reason with less room than that begins on its own line
 STYLES = {"TRACKED": "green", "TILT_AMBIGUOUS": "yellow", "IDENTITY_AMBIGUOUS": "magenta"}  # all else is red
+ON = "on"  # the surface
 SHORT_STATES = {"TILT_AMBIGUOUS": "TILT?", "IDENTITY_AMBIGUOUS": "IDENTITY?"}
 
 
@@ -32,6 +33,7 @@ class Row:
     rate_hz: float = 0.0
     speed_mm_s: float | None = None  # where the server smooths
     turning_deg_s: float | None = None
+    surface: str = ""  # `on` it, or how it is off; of a robot that by the rig stands on it
 
 
 class _Column(NamedTuple):
@@ -66,6 +68,7 @@ _COLUMNS = (
     _Column("tilt°", _with_pose(lambda row: _decimals(row.tilt_deg, 1)), 4),
     _Column("mm/s", lambda row: _told(row.speed_mm_s), 6, only_if=lambda row: row.speed_mm_s is not None),
     _Column("°/s", lambda row: _told(row.turning_deg_s), 5, only_if=lambda row: row.turning_deg_s is not None),
+    _Column("surface", lambda row: row.surface, 5, number=False, only_if=lambda row: bool(row.surface)),
     _Column("LEDs", _with_pose(lambda row: str(row.leds)), 2),
     _Column("rms px", _with_pose(lambda row: _decimals(row.rms_px, 3)), 1),
     _Column("Hz", _with_pose(lambda row: f"{row.rate_hz:.0f}"), 3),
@@ -103,8 +106,7 @@ def _lines(row: Row, columns: Sequence[_Column], widths: Sequence[int], width: i
     for column, cells in zip(columns, widths, strict=True):
         if row.position_mm is None and column.title == "x mm":
             break
-        style = STYLES.get(_long(row.state), "red") if column.title == "state" else ""
-        line.append(_padded(column.cell(row), cells, column.number) + " " * GAP, style)
+        line.append(_padded(column.cell(row), cells, column.number) + " " * GAP, _style(row, column))
     if row.position_mm is not None or not row.reason:
         line.rstrip()
         return [line]
@@ -115,6 +117,12 @@ def _lines(row: Row, columns: Sequence[_Column], widths: Sequence[int], width: i
     for each in lines:
         each.rstrip()
     return lines
+
+
+def _style(row: Row, column: _Column) -> str:
+    if column.title == "surface":
+        return "" if row.surface == ON else "yellow"
+    return STYLES.get(_long(row.state), "red") if column.title == "state" else ""
 
 
 def _long(state: str) -> str:

@@ -22,7 +22,8 @@ from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
 from asterism.protocol.codec import decode_beat, decode_frame_report, decode_status, report_pose
 from asterism.protocol.errors import InputError
-from asterism.protocol.messages import State
+from asterism.protocol.messages import Standing, State
+from asterism.protocol.standing import standing_name
 
 if TYPE_CHECKING:
     import zenoh
@@ -236,7 +237,20 @@ def _row(server: ServerState, robot: "pb.RobotReport", frame_id: str) -> Row:
         rms_px=robot.rms_px,
         speed_mm_s=None if moves is None else 1e3 * _length(moves.linear),
         turning_deg_s=None if moves is None else math.degrees(_length(moves.angular)),
+        surface=_standing(robot.surface) if robot.HasField("surface") else "",
     )
+
+
+def _standing(told: "pb.OnSurface") -> str:
+    """As the table shows it: on the surface, or how it is off."""
+    if told.standing == Standing.ON_SURFACE:
+        return layout.ON
+    name = standing_name(told.standing).lower()
+    if told.standing in (Standing.LIFTED, Standing.SUNK) and math.isfinite(told.off_m):
+        return f"{name} {1e3 * abs(told.off_m):.1f} mm"
+    if told.standing == Standing.TILTED and math.isfinite(told.tilt_off_rad):
+        return f"{name} {math.degrees(told.tilt_off_rad):.1f}°"
+    return name
 
 
 def _length(vector: "pb.Vector3") -> float:

@@ -495,7 +495,7 @@ class Coverage(_message.Message):
     def __init__(self, session: _Optional[int] = ..., since_ns: _Optional[int] = ..., exposed_ns: _Optional[int] = ..., frame: _Optional[_Union[Pose, _Mapping]] = ..., x0: _Optional[float] = ..., y0: _Optional[float] = ..., pitch: _Optional[float] = ..., columns: _Optional[int] = ..., rows: _Optional[int] = ..., whole: bool = ..., robots: _Optional[_Iterable[_Union[CoverageOf, _Mapping]]] = ...) -> None: ...
 
 class CoverageOf(_message.Message):
-    __slots__ = ("robot", "patch", "dwell_s", "passes", "speed", "direction", "last_ns", "left_out")
+    __slots__ = ("robot", "patch", "dwell_s", "passes", "speed", "direction", "last_ns", "left_out", "radius", "counted", "counted_s")
     class LeftOutEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -511,6 +511,9 @@ class CoverageOf(_message.Message):
     DIRECTION_FIELD_NUMBER: _ClassVar[int]
     LAST_NS_FIELD_NUMBER: _ClassVar[int]
     LEFT_OUT_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_FIELD_NUMBER: _ClassVar[int]
+    COUNTED_FIELD_NUMBER: _ClassVar[int]
+    COUNTED_S_FIELD_NUMBER: _ClassVar[int]
     robot: str
     patch: _containers.RepeatedScalarFieldContainer[int]
     dwell_s: _containers.RepeatedScalarFieldContainer[float]
@@ -519,4 +522,7 @@ class CoverageOf(_message.Message):
     direction: _containers.RepeatedScalarFieldContainer[float]
     last_ns: _containers.RepeatedScalarFieldContainer[int]
     left_out: _containers.ScalarMap[str, int]
-    def __init__(self, robot: _Optional[str] = ..., patch: _Optional[_Iterable[int]] = ..., dwell_s: _Optional[_Iterable[float]] = ..., passes: _Optional[_Iterable[int]] = ..., speed: _Optional[_Iterable[float]] = ..., direction: _Optional[_Iterable[float]] = ..., last_ns: _Optional[_Iterable[int]] = ..., left_out: _Optional[_Mapping[str, int]] = ...) -> None: ...
+    radius: float
+    counted: int
+    counted_s: float
+    def __init__(self, robot: _Optional[str] = ..., patch: _Optional[_Iterable[int]] = ..., dwell_s: _Optional[_Iterable[float]] = ..., passes: _Optional[_Iterable[int]] = ..., speed: _Optional[_Iterable[float]] = ..., direction: _Optional[_Iterable[float]] = ..., last_ns: _Optional[_Iterable[int]] = ..., left_out: _Optional[_Mapping[str, int]] = ..., radius: _Optional[float] = ..., counted: _Optional[int] = ..., counted_s: _Optional[float] = ...) -> None: ...

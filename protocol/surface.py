@@ -16,6 +16,7 @@ TERMS = ("one", "x", "y", "z", "xx", "yy", "zz", "xy", "xz", "yz")  # of a quadr
 PLANE, QUADRIC, HEIGHTS, STL = "plane", "quadric", "heights", "stl"  # what a rig may name
 STEEPEST = 4.0  # slope: beyond 76 degrees a height over the plane says nothing
 _STEPS = 8  # of Newton's method, from a point to the nearest of the surface
+_SETTLED_M = 1e-9  # a step so short is followed by none that matters: the next is the square of it
 
 
 class Ground(NamedTuple):
@@ -234,7 +235,10 @@ class Surface:
             with np.errstate(all="ignore"):
                 det = a * d - b * b
                 step = np.column_stack([d * off[:, 0] - b * off[:, 1], a * off[:, 1] - b * off[:, 0]]) / det[:, None]
-            foot = foot - np.where(np.isfinite(step), step, 0.0)
+            step = np.where(np.isfinite(step), step, 0.0)
+            foot = foot - step
+            if np.abs(step).max(initial=0.0) < _SETTLED_M:
+                break
         ground = self.ground(foot)
         feet, normals = np.column_stack([foot, ground.heights]), ground.normals
         distances = ((p - feet) * normals).sum(axis=1)

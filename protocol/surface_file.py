@@ -13,7 +13,8 @@ surface:                               # one of plane, quadric, heights, stl
   edge: [[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2]]     # optional: x, y of its frame; beyond them there is no surface
 robots:
   alpha:
-    stands: {point: tool, sigma: 0.00005, tilt_sigma_deg: 0.1}      # optional `axis`, else led.axis
+    stands: {point: tool, sigma: 0.00005, tilt_sigma_deg: 0.1}      # optional `axis`, else led.axis; `radius` of the
+                                                                    # tool about the point, m, for `coverage`
 ```
 """
 
@@ -33,22 +34,25 @@ from asterism.protocol.yaml_file import Section
 
 KINDS = (PLANE, QUADRIC, HEIGHTS, STL)
 SURFACE_KEYS = (*KINDS, "scale", "frame", "sigma", "tilt_sigma_deg", "edge")
-STANDS_KEYS = ("point", "sigma", "tilt_sigma_deg", "axis")
+STANDS_KEYS = ("point", "sigma", "tilt_sigma_deg", "axis", "radius")
 LARGEST_SIGMA_M = 0.05
 LARGEST_TILT_DEG = 45.0
+LARGEST_RADIUS_M = 0.5  # of a tool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stands:
     """How a robot stands on the surface: its named ``point`` lies on it within ``sigma_m`` along the normal, and its
     ``axis`` (3,), a unit vector of its own frame, is along the normal within ``tilt_sigma_rad`` about either axis
-    across it, one sigma each; inf: its tilt is not told.
+    across it, one sigma each; inf: its tilt is not told. ``radius_m`` is that of the tool, a disc about the point; 0:
+    it is not told.
     """
 
     point: str
     axis: Floats
     sigma_m: float
     tilt_sigma_rad: float = math.inf
+    radius_m: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axis", frozen_array(self.axis, 3))
@@ -208,4 +212,11 @@ def read_stands(section: Section, points: Mapping[str, Floats], axis: Floats) ->
     tilt = _tilt(section) if "tilt_sigma_deg" in section else math.inf
     if tilt <= 0.0:
         raise section.error("tilt_sigma_deg", "0, expected a number above 0, degrees; leave it out if it is not known")
-    return Stands(point, axis / np.linalg.norm(axis), sigma, tilt)
+    return Stands(point, axis / np.linalg.norm(axis), sigma, tilt, _radius(section) if "radius" in section else 0.0)
+
+
+def _radius(section: Section) -> float:
+    radius = section.number("radius", above=0.0)
+    if radius > LARGEST_RADIUS_M:
+        raise section.error("radius", f"{radius:g}, expected m, at most {LARGEST_RADIUS_M:g}; is that mm?")
+    return radius

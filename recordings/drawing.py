@@ -3,22 +3,24 @@
 robots                        a table: where each robot is, how it stands, how sure that is
 world/origin                  the world's axes, where the rig knows a world
 world/camera                  its axes and name
-world/camera/image            frustum and frame; spots with their fates, plates, names, residuals (enlarged)
+world/camera/image            frustum and frame; spots with their fates, plates, names, residuals (enlarged); where
+                              the surface ends
+world/surface                 what the robots work on, coloured by how well it is known; its edge
 world/robots/<id>             axes, plate, LEDs, named points and name of every robot
 world/alternatives/<id>       the other plate, where two tilts explain the spots
-world/paths/<id>              where it went
+world/without/<id>            by light alone, of a robot whose pose rests on the surface as well
+world/paths/<id>              where it went; of one that stands on the surface where its tool did, as long as it stood
 plots/position/<id>/x         m, in the parent frame; likewise y, z
 plots/angles/<id>/roll        degrees, in the parent frame (without a world: in the camera's turned to face the robots,
                               x right, y up, z towards the camera); likewise pitch, yaw
 plots/residual/<id>           px
 plots/latency                 ms
-states/<id>                   TRACKED, TILT_AMBIGUOUS, IDENTITY_AMBIGUOUS, LOST
+states/<id>                   TRACKED, TILT_AMBIGUOUS, IDENTITY_AMBIGUOUS, LOST; where the surface is contradicted also
+                              how, "TRACKED, LIFTED" for one: LIFTED, SUNK, TILTED, BEYOND
 events                        what happened, as sentences
 
 Of several cameras: entities.py.
 """
-
-from collections import deque
 
 import numpy as np
 import rerun as rr
@@ -28,17 +30,18 @@ from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.codec import report_pose
 from asterism.protocol.event_text import is_loss, sentence
 from asterism.protocol.geometry import Floats, Pose
-from asterism.protocol.messages import State
 from asterism.protocol.rig import Rig
 from asterism.recordings import overlay
 from asterism.recordings.entities import ALONE, Entities, part
 from asterism.recordings.plates import TO_THE_CAMERA, plate_outline, roll_pitch_yaw_deg
 from asterism.recordings.png_image import png
 from asterism.recordings.robot_table import robot_table
-from asterism.recordings.scene import STATE_COLOURS, name_place, place_scene, place_transform, robot_colours
+from asterism.recordings.scene import name_place, place_scene, place_transform, robot_colours
+from asterism.recordings.states import STATE_COLOURS, TRACKED, state_of
+from asterism.recordings.trail import Trail
+from asterism.recordings.without import axes_without
 
 APPLICATION = "asterism"
-TRAIL = 600  # positions kept of every robot's path
 HALF_TURN_DEG = 180.0  # an angle that jumps so far has gone once around
 
 
@@ -53,16 +56,17 @@ class Drawing:
         self._outlines = {robot.id: plate_outline(robot) for robot in rig.robots}
         self._names = {robot.id: name_place(robot, entities.storey) for robot in rig.robots}
         self._T_camera_parent = (rig.T_world_camera or Pose.identity()).inverse()
-        self._trails: dict[str, deque[Floats]] = {robot.id: deque(maxlen=TRAIL) for robot in rig.robots}
+        self._trails = {robot.id: Trail(robot) for robot in rig.robots}
         self._states: dict[str, str] = {}
         self._angles: dict[str, Floats] = {}
         self._two_tilts: set[str] = set()  # drawn with both
+        self._two_poses: set[str] = set()  # drawn with that of light alone as well
         place_scene(stream, rig, entities)
 
     def replaced_by(self, rig: Rig) -> "Drawing":
         """Another rig is in force from now on: the robots of this one are drawn nowhere."""
         for robot in self._rig.robots:
-            for what in ("robots", "alternatives", "paths"):
+            for what in ("robots", "alternatives", "without", "paths"):
                 self._stream.log(self._entities.robot(what, robot.id), rr.Clear(recursive=True))
         return Drawing(self._stream, rig, self._entities)
 
@@ -97,8 +101,9 @@ class Drawing:
                 continue
             self._state(robot)
             self._alternative(robot)
+            self._without(robot)
             if robot.id in poses:
-                self._place(robot.id, poses[robot.id])
+                self._place(robot, poses[robot.id])
                 self._plot(robot, poses[robot.id], angles[robot.id])
         self._scalar("plots/latency/solving", (report.solved_ns - report.arrived_ns) * 1e-6)
         self._scalar("plots/latency/exposure_to_network", (report.published_ns - report.exposed_ns) * 1e-6)
@@ -136,13 +141,13 @@ class Drawing:
 
     def _state(self, robot: "pb.RobotReport") -> None:
         """What changes with the robot's state: the timeline, its name in space, and whether it is there at all."""
-        state, path = State.Name(robot.state), self._entities.robot("robots", robot.id)
+        state, path = state_of(robot), self._entities.robot("robots", robot.id)
         if self._states.get(robot.id) == state:
             return
         self._states[robot.id] = state
         self._stream.log(f"{self._entities.told}states/{part(robot.id)}", rr.StateChange(state=state))
         if robot.HasField("pose"):
-            colour = self._colours[robot.id] if robot.state == pb.TRACKED else STATE_COLOURS[state]
+            colour = self._colours[robot.id] if state == TRACKED else STATE_COLOURS[state]
             name = rr.Points3D(
                 self._names[robot.id],
                 radii=rr.Radius.ui_points(0.5),
@@ -158,16 +163,16 @@ class Drawing:
         for plot in ("position", "angles", "residual"):
             self._stream.log(f"{self._entities.told}plots/{plot}/{part(robot.id)}", rr.Clear(recursive=True))
 
-    def _place(self, robot: str, pose: Pose) -> None:
+    def _place(self, robot: "pb.RobotReport", pose: Pose) -> None:
         self._stream.log(
-            self._entities.robot("robots", robot),
+            self._entities.robot("robots", robot.id),
             rr.Transform3D(translation=pose.position, quaternion=rr.Quaternion(xyzw=pose.orientation), scale=1.0),
         )
-        trail = self._trails[robot]
-        trail.append(pose.position)
-        if len(trail) % 5 == 0 or len(trail) == TRAIL:
-            path = rr.LineStrips3D([np.array(trail)], colors=self._colours[robot], radii=rr.Radius.ui_points(1.0))
-            self._stream.log(self._entities.robot("paths", robot), path)
+        trail = self._trails[robot.id]
+        trail.go(robot, pose)
+        if trail.due:
+            path = rr.LineStrips3D(trail.pieces(), colors=self._colours[robot.id], radii=rr.Radius.ui_points(1.0))
+            self._stream.log(self._entities.robot("paths", robot.id), path)
 
     def _alternative(self, robot: "pb.RobotReport") -> None:
         path = self._entities.robot("alternatives", robot.id)
@@ -189,6 +194,15 @@ class Drawing:
             ),
         )
 
+    def _without(self, robot: "pb.RobotReport") -> None:
+        path = self._entities.robot("without", robot.id)
+        if robot.surface.HasField("without"):
+            self._two_poses.add(robot.id)
+            self._stream.log(path, axes_without(robot, self._rig.robot(robot.id).extent))
+        elif robot.id in self._two_poses:
+            self._two_poses.remove(robot.id)
+            self._stream.log(path, rr.Clear(recursive=False))
+
     def _plot(self, robot: "pb.RobotReport", pose: Pose, angles: Floats) -> None:
         for axis, value in zip("xyz", pose.position.tolist(), strict=True):
             self._scalar(f"plots/position/{part(robot.id)}/{axis}", value)
@@ -202,4 +216,5 @@ class Drawing:
 
 def _name_of(robot: "pb.RobotReport") -> str:
     """Its id, and its state where it is not simply tracked."""
-    return robot.id if robot.state == pb.TRACKED else f"{robot.id}: {State.Name(robot.state).replace('_', ' ')}"
+    state = state_of(robot)
+    return robot.id if state == TRACKED else f"{robot.id}: {state.removeprefix(f'{TRACKED}, ').replace('_', ' ')}"

@@ -8,9 +8,11 @@ from asterism.protocol.geometry import Pose
 from asterism.protocol.rig import Rig
 from asterism.recordings.entities import part
 from asterism.recordings.scene import working_range
+from asterism.recordings.surface_mesh import surface_mesh
 
 GRID_M = 0.1
 TOWARDS_THE_CAMERA = np.array([0.0, 0.0, -1.0])
+LOOK_FROM, LOOK_NODES = 0.8, 16  # of a surface's size: from how far it is looked at
 MOST_ROWS = 8  # of robots, before table and states scroll
 BACKGROUND = rrb.Background(color=[38, 42, 50], kind=rrb.BackgroundKind.SolidColor)
 
@@ -88,11 +90,17 @@ def _plot(origin: str, name: str) -> rrb.TimeSeriesView:
 
 
 def _eye(rig: Rig) -> rrb.EyeControls3D:
-    """Look from the image's lower side, a little from above and from the right, at robots and camera alike."""
-    distance = float(np.mean(working_range(rig)))
-    target = np.array([0.0, 0.0, 0.8 * distance])
-    eye = target + distance * np.array([0.25, 0.88, -0.65])
+    """Look from the image's lower side, a little from above and from the right, at robots and camera alike; where the
+    rig has a surface, at that.
+    """
     T_parent_camera = rig.T_world_camera or Pose.identity()
+    distance = float(np.mean(working_range(rig)))
+    target, away = np.array([0.0, 0.0, 0.8 * distance]), distance
+    if (whole := surface_mesh(rig, LOOK_NODES)) is not None:
+        points = T_parent_camera.inverse().map(whole.points)
+        size = float(np.linalg.norm(np.ptp(points, axis=0)))
+        target, away = points.mean(axis=0), min(max(LOOK_FROM * size, 0.3 * distance), distance)
+    eye = target + away * np.array([0.25, 0.88, -0.65])
     return rrb.EyeControls3D(
         position=T_parent_camera.map(eye),
         look_target=T_parent_camera.map(target),

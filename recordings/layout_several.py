@@ -13,7 +13,7 @@ from asterism.recordings.layout import BACKGROUND, GRID_M, MOST_ROWS
 from asterism.recordings.scene import working_range
 
 MOST_IN_A_ROW = 4  # images
-OVERLAYS = ("spots", "plates", "names", "residuals")  # which belong to the images
+OVERLAYS = ("spots", "plates", "names", "residuals", "surface")  # which belong to the images
 DIRECTIONS = -np.pi / 2 + np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)  # in which one may stand, in the plan
 RAISED = 0.4  # of one's distance, above what one looks at
 BACK = 1.75  # times the farthest camera's distance, so that all are in sight

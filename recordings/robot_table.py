@@ -6,7 +6,7 @@ import numpy as np
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.geometry import Floats, Pose
-from asterism.protocol.messages import State
+from asterism.recordings.states import state_of
 
 _HEAD = (
     "| robot | state | x, mm | y, mm | z, mm | roll, ° | pitch, ° | yaw, ° | LEDs | rms, px |",
@@ -19,6 +19,7 @@ def robot_table(robots: Iterable[tuple["pb.RobotReport", Pose | None, Floats | N
     """Markdown. For every robot its report, its pose and its roll, pitch, yaw in degrees, None where it has no pose."""
     listed = list(robots)
     reasons = [f"**{report.id}**: {report.reason}\n" for report, _, _ in listed if report.reason]
+    reasons += [f"**{report.id}**: {report.surface.reason}\n" for report, _, _ in listed if report.surface.reason]
     reasons += [
         f"**{report.id}**: without {camera}: {why}\n"
         for report, _, _ in listed
@@ -31,7 +32,7 @@ def robot_table(robots: Iterable[tuple["pb.RobotReport", Pose | None, Floats | N
 
 def _row(report: "pb.RobotReport", pose: Pose | None, angles: Floats | None) -> str:
     cameras = f" {', '.join(report.cameras)} |" if report.cameras else ""
-    state = State.Name(report.state).replace("_", " ")
+    state = state_of(report).replace("_", " ")
     if pose is None or angles is None:
         return f"| **{report.id}** | **{state}** |{' |' * 8}\n"
     numbers = [f"{value:.1f}" for value in np.concatenate([1e3 * pose.position, angles]) + 0.0]

@@ -4,10 +4,11 @@ import numpy as np
 import rerun as rr
 
 from asterism.protocol.geometry import Floats, Pose
-from asterism.protocol.messages import State
 from asterism.protocol.rig import Rig, Robot
 from asterism.recordings.entities import ALONE, Entities, part
 from asterism.recordings.plates import plate_outline
+from asterism.recordings.states import STATE_COLOURS
+from asterism.recordings.surface_scene import place_surface
 
 Colour = tuple[int, int, int]
 # Okabe and Ito (2008), brightened for a dark background: told apart by the colour-blind as well.
@@ -15,12 +16,6 @@ _COLOURS: tuple[Colour, ...] = (
     (86, 180, 233), (230, 159, 0), (0, 190, 140), (240, 228, 66), (214, 140, 185), (235, 110, 30), (110, 140, 240),
     (190, 190, 190),
 )  # fmt: skip
-STATE_COLOURS: dict[str, Colour] = {
-    State.Name(State.TRACKED): (46, 158, 79),
-    State.Name(State.TILT_AMBIGUOUS): (224, 176, 32),
-    State.Name(State.IDENTITY_AMBIGUOUS): (176, 80, 192),
-    State.Name(State.LOST): (208, 64, 64),
-}
 AXES = ((255, 90, 90), (90, 220, 90), (110, 155, 255))  # x, y, z; roll, pitch, yaw
 LATENCIES = {"exposure to network, ms": (230, 159, 0), "solving, ms": (86, 180, 233)}
 LED_PX = 2.5  # radius on the screen: seen from wherever one looks
@@ -40,6 +35,7 @@ def place_scene(stream: rr.RecordingStream, rig: Rig, entities: Entities = ALONE
     _place_world(stream, rig)
     if entities.camera:
         _place_camera(stream, rig, entities)
+    place_surface(stream, rig, entities)
     if entities.told is None:
         return
     for robot_id, colour in robot_colours(rig).items():

@@ -36,7 +36,7 @@ class Group:
 
 def groups(points: Iterable[str]) -> tuple[Group, ...]:
     """All columns, for a robot with those named points."""
-    rest = (_VELOCITY, _RESIDUALS, _OTHER, _HOW)
+    rest = (_VELOCITY, _RESIDUALS, _OTHER, _HOW, _SURFACE)
     taken = {column.name for column in columns((*_FIRST, *rest))}
     named = []
     for name in points:
@@ -106,6 +106,18 @@ def _other(_: ExportedFrame, robot: ExportedRobot) -> Sequence[Value]:
     return _NONE[:8] if other is None else (*other.position, *other.orientation, other.odds)
 
 
+def _surface(_: ExportedFrame, robot: ExportedRobot) -> Sequence[Value]:
+    told = robot.surface
+    if told is None:
+        return _NONE[:19]
+    off = (told.off_m, told.off_sigma_m, told.tilt_off_rad, told.tilt_off_sigma_rad)
+    if told.without is None:
+        return (told.standing, told.reason or None, *off, *_NONE[:13])
+    position, orientation, covariance = told.without
+    sigmas = (math.sqrt(value) if value >= 0 else None for value in covariance[::7])
+    return (told.standing, told.reason or None, *off, *position, *orientation, *sigmas)
+
+
 def _point(name: str, taken: Collection[str]) -> Group:
     """``tool_x_m``; a point called `sigma` would take the name of another column, and becomes ``point_sigma_x_m``."""
     called = name
@@ -159,4 +171,19 @@ _OTHER = Group((*_place("other_"), Column("other_odds", "", "real")), _other)
 _HOW = Group(
     (Column("filter", "", "text"), Column("extrapolated", "", "flag"), Column("cameras", "", "text")),
     lambda _, robot: (robot.smoothed_by or None, robot.extrapolated, "/".join(robot.cameras) or None),
+)
+_SURFACE = Group(
+    (
+        Column("surface", "", "text"),
+        Column("surface_reason", "", "text"),
+        *_named(("surface_off", "surface_off_sigma"), "m"),
+        *_named(("surface_tilt_off", "surface_tilt_off_sigma"), "rad"),
+        *_place("without_"),
+        *(
+            column
+            for axis, unit in zip(AXES, _UNITS, strict=True)
+            for column in _named((f"without_sigma_{axis}",), unit)
+        ),
+    ),
+    _surface,
 )

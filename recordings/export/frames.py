@@ -4,6 +4,7 @@ They come from a recording (`frames_of`), from lines of `asterism locate` (`line
 these. Numbers are kept as they were recorded, to the last bit.
 """
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from asterism.protocol.codec import report_pose
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.messages import FRAME_REPORT, ODOMETRY, Message, RobotPose, State, Velocity
 from asterism.protocol.rig import Rig
+from asterism.protocol.standing import standing_name
 from asterism.recordings.decodable import read_odometry, read_report
 
 Numbers = tuple[float, ...]
@@ -29,6 +31,22 @@ class Alternative:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ExportedSurface:
+    """How a robot stands on the surface, as `OnSurface` of asterism.proto; numbers are None where there is no surface
+    to measure from. ``without``: position m, quaternion x y z w and covariance (36 numbers) by light alone, None where
+    the surface was not used.
+    """
+
+    standing: str
+    reason: str = ""
+    off_m: float | None = None
+    off_sigma_m: float | None = None
+    tilt_off_rad: float | None = None
+    tilt_off_sigma_rad: float | None = None
+    without: tuple[Numbers, Numbers, Numbers] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ExportedRobot:
     """One robot in one frame. ``position`` (3 numbers, m) and ``orientation`` (x y z w) are T_<frame_id>_<robot>, None
     where it was not located, and then ``reason`` says why.
@@ -37,7 +55,7 @@ class ExportedRobot:
     ``residuals_px`` are observed minus predicted, by LED; ``points`` named points in the frame of the pose, m.
     ``spots_px2`` is the mean variance of a coordinate of its spots, None where none is told; ``misfit_m`` how far off
     the rig has its LEDs, as frames before told, 0 where they told nothing; ``cameras`` those that the pose rests on,
-    where several are joined.
+    where several are joined. ``surface`` is there where the robot by the rig stands on one.
     """
 
     id: str
@@ -57,6 +75,7 @@ class ExportedRobot:
     spots_px2: float | None = None
     misfit_m: float = 0.0
     cameras: tuple[str, ...] = ()
+    surface: ExportedSurface | None = None
 
     @property
     def pose(self) -> Pose | None:
@@ -153,6 +172,7 @@ def _of_odometry(told: dict[str, RobotPose]) -> ExportedFrame:
             smoothed_by=pose.smoothed_by,
             extrapolated=pose.extrapolated,
             cameras=pose.cameras,
+            surface=ExportedSurface(pose.standing) if pose.standing else None,
         )
         for pose in told.values()
     )
@@ -194,7 +214,20 @@ def _robot(robot: "pb.RobotReport", told: RobotPose | None) -> ExportedRobot:
         smoothed_by=robot.smoothed_by,
         extrapolated=robot.extrapolated,
         cameras=tuple(robot.cameras),
+        surface=_surface(robot.surface) if robot.HasField("surface") else None,
     )
+
+
+def _surface(told: "pb.OnSurface") -> ExportedSurface:
+    without = None
+    if told.HasField("without") and len(told.without_covariance) == 36:
+        p, q = told.without.position, told.without.orientation
+        without = (p.x, p.y, p.z), (q.x, q.y, q.z, q.w), tuple(told.without_covariance)
+    off, off_sigma, tilt, tilt_sigma = (
+        value if math.isfinite(value) else None
+        for value in (told.off_m, told.off_sigma_m, told.tilt_off_rad, told.tilt_off_sigma_rad)
+    )
+    return ExportedSurface(standing_name(told.standing), told.reason, off, off_sigma, tilt, tilt_sigma, without)
 
 
 def _spots_px2(report: "pb.FrameReport", robot: "pb.RobotReport") -> float | None:

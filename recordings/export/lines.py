@@ -13,7 +13,7 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.keys import key_problem
 from asterism.protocol.messages import Velocity
 from asterism.protocol.yaml_file import describe
-from asterism.recordings.export.frames import Alternative, ExportedFrame, ExportedRobot
+from asterism.recordings.export.frames import Alternative, ExportedFrame, ExportedRobot, ExportedSurface
 
 SUFFIX = ".jsonl"
 LONGEST = 16 << 20  # bytes of a line
@@ -37,6 +37,22 @@ class _Velocity(msgspec.Struct):
     covariance: list[float]
 
 
+class _Without(msgspec.Struct):
+    position: Three
+    orientation: Four
+    covariance: list[float]
+
+
+class _Surface(msgspec.Struct):
+    standing: str
+    reason: str = ""
+    off_m: float | None = None
+    off_sigma_m: float | None = None
+    tilt_off_rad: float | None = None
+    tilt_off_sigma_rad: float | None = None
+    without: _Without | None = None
+
+
 class _Robot(msgspec.Struct):
     id: str
     position: Three
@@ -50,6 +66,7 @@ class _Robot(msgspec.Struct):
     velocity: _Velocity | None = None
     extrapolated: bool = False
     cameras: tuple[str, ...] = ()
+    surface: _Surface | None = None
 
 
 class _Line(msgspec.Struct):
@@ -122,7 +139,20 @@ def _located(robot: _Robot, where: str) -> ExportedRobot:
         velocity=_velocity(robot.velocity, where),
         extrapolated=robot.extrapolated,
         cameras=robot.cameras,
+        surface=None if robot.surface is None else _surface(robot.surface, where),
     )
+
+
+def _surface(told: _Surface, where: str) -> ExportedSurface:
+    without = None
+    if told.without is not None:
+        _check_pose(told.without.position, told.without.orientation, f"{where}: surface: without")
+        if len(told.without.covariance) != 36:
+            found = len(told.without.covariance)
+            raise InputError(f"{where}: surface: without: covariance: {found} numbers, expected 36")
+        without = told.without.position, told.without.orientation, tuple(told.without.covariance)
+    numbers = (told.off_m, told.off_sigma_m, told.tilt_off_rad, told.tilt_off_sigma_rad)
+    return ExportedSurface(told.standing, told.reason, *numbers, without)
 
 
 def _velocity(told: _Velocity | None, where: str) -> Velocity | None:

@@ -1,7 +1,7 @@
 """What a frame has to say of every robot of the rig: a pose, or why there is none."""
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from asterism.protocol.geometry import Floats
 from asterism.protocol.messages import Fate
 from asterism.server.centres.blobs import Blobs, Ints
+from asterism.server.chain.standing import told_of
 from asterism.server.compiled import compiled
 from asterism.server.identity.identify import Matches
 from asterism.server.identity.plan import Plan
@@ -16,6 +17,7 @@ from asterism.server.identity.rays import Rays
 from asterism.server.pose.choose import Choices
 from asterism.server.pose.fit import LEDS
 from asterism.server.pose.solve import Alternative, Lost, PoseEstimate, Solutions
+from asterism.server.pose.standing import ON_SURFACE, Stood
 
 ALL_LEDS = tuple(range(LEDS))
 NO_POSE = "no pose that faces the camera explains its spots"
@@ -73,9 +75,17 @@ def tell_whose(robots, assignment, rows, best, residuals, owners, told):
 
 
 def answers_of(
-    plan: Plan, blobs: Blobs, seen: Rays, matches: Matches, solutions: Solutions, choices: Choices
+    plan: Plan,
+    blobs: Blobs,
+    seen: Rays,
+    matches: Matches,
+    solutions: Solutions,
+    choices: Choices,
+    stood: Stood | None = None,
 ) -> dict[str, PoseEstimate | Lost]:
-    """An answer for every robot of the rig, by its id. Writes the blobs' fates."""
+    """An answer for every robot of the rig, by its id: with the surface, where it ``stood`` on it. Writes the blobs'
+    fates.
+    """
     found, m = matches.found, len(matches.found.robots)
     extrapolated = _correct_z(plan, choices)
     # What can be done for all robots at once is; Python is slow at small arrays.
@@ -89,6 +99,8 @@ def answers_of(
     answers: dict[int, PoseEstimate | Lost] = {}
     for robot, best, *row in zip(*columns, extrapolated, *poses, strict=True):
         answers[robot] = _estimate(*row) if best >= 0 else Lost(NO_POSE)
+    if stood is not None:
+        _stand(plan, found.robots.tolist(), stood, answers)
     return {
         robot.id: answers[index] if index in answers else _lost(matches, index, len(seen.rows))
         for index, robot in enumerate(plan.rig.robots)
@@ -112,6 +124,30 @@ def _estimate(
     estimate.surface = None
     estimate.__class__ = PoseEstimate
     return cast(PoseEstimate, estimate)
+
+
+def _stand(plan: Plan, robots: list[int], stood: Stood, answers: dict[int, PoseEstimate | Lost]) -> None:
+    """Put in place of light's answers those with the surface, where it was used; say of the others why it was not."""
+    for row, robot in enumerate(robots):
+        alone = answers[robot]
+        if not isinstance(alone, PoseEstimate) or not stood.standing[row]:
+            continue
+        told = told_of(plan, robot, row, stood, (alone.pose, alone.covariance, alone.alternative))
+        if stood.standing[row] != ON_SURFACE:
+            answers[robot] = replace(alone, surface=told)
+            continue
+        odds, positions, quaternions = float(stood.odds[row]), stood.positions[row], stood.quaternions[row]
+        residuals = stood.residuals[row, list(alone.leds)]
+        answers[robot] = replace(
+            alone,
+            position=positions[0],
+            orientation=quaternions[0],
+            covariance=stood.covariances[row],
+            residuals_px=residuals,
+            rms_px=math.sqrt(float((residuals**2).sum()) / len(residuals)),
+            alternative=Alternative(positions[1], quaternions[1], odds) if odds < SURE else None,
+            surface=told,
+        )
 
 
 def _correct_z(plan: Plan, choices: Choices) -> list[bool]:

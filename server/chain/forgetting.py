@@ -14,6 +14,7 @@ import numpy as np
 from asterism.protocol.geometry import Floats
 from asterism.server.chain.world import Following
 from asterism.server.pose.courses import Courses
+from asterism.server.pose.remembered import DISTANCE
 from asterism.server.pose.track import EVIDENCE, KNOWN, LOG_SUM, NEWEST, Tracks
 
 # Steps are powers of two, which floating-point numbers hold exactly.
@@ -47,6 +48,8 @@ def forgetful(tracks: Tracks) -> Tracks:
     numbers[:, EVIDENCE] = _steps(numbers[:, EVIDENCE], ODDS)
     rotations = _rotations(np.concatenate([tracks.rotations, tracks.other_rotations]))
     robots = len(tracks.seen_ns)
+    offs = _shares(tracks.offs)
+    offs[..., DISTANCE] = _steps(tracks.offs[..., DISTANCE], WAY)
     told = tracks._replace(
         rotations=rotations[:robots],
         ts=_steps(tracks.ts, WAY),
@@ -55,6 +58,7 @@ def forgetful(tracks: Tracks) -> Tracks:
         other_rotations=rotations[robots:],
         numbers=numbers,
         courses=_courses(tracks.courses),
+        offs=offs,
     )
     return Following.of(told, tracks.place) if isinstance(tracks, Following) else told
 

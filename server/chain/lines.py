@@ -9,7 +9,9 @@ import numpy as np
 from asterism.protocol.geometry import Pose
 from asterism.protocol.messages import Velocity
 from asterism.protocol.rig import Rig
+from asterism.protocol.standing import surface_as_json
 from asterism.server.chain.frame import Frame, FrameResult
+from asterism.server.chain.report import surface_report
 from asterism.server.chain.smooth import Motions, SmoothedPose, smooth
 from asterism.server.chain.smooth_both import smooth_both
 from asterism.server.pose.solve import PoseEstimate
@@ -62,6 +64,8 @@ def line(frame: Frame, result: FrameResult) -> dict[str, Any]:
             told["velocity"] = _velocity(answer.velocity)
         if answer.extrapolated:
             told["extrapolated"] = True
+        if answer.surface is not None:
+            told["surface"] = surface_as_json(surface_report(answer.surface))
         robots.append(told)
     return {"frame": frame.name, "exposed_ns": frame.exposed_ns, "robots": robots, "lost": lost}
 

@@ -16,6 +16,7 @@ from asterism.server.centres.weighted import weigh_spots
 from asterism.server.chain.answers import answers_of
 from asterism.server.chain.forgetting import forgetful, learned_at
 from asterism.server.chain.frame import Frame, FrameResult
+from asterism.server.chain.standing import Seen, of_place, stand
 from asterism.server.chain.world import Following, carried_over, place_before, place_now
 from asterism.server.identity.identify import identify
 from asterism.server.identity.plan import Plan, plan_for
@@ -61,17 +62,23 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
         _take_common_noise(blobs, seen, matches.found, claimed, plan, learned)
     if plan.some_scatter:
         _take_known_light(image, blobs, seen, matches.found, claimed, plan)
+    shown: Seen | None = None
     if plan.shutter is None:
-        solutions = _solve(image, blobs, seen, matches.found, claimed, plan, learned, commons)
+        solutions, shown = _solve(image, blobs, seen, matches.found, claimed, plan, learned, commons)
         choices = _choose(frame, seen, matches.found, solutions, plan, known)
     else:
         solutions, choices, known = _solve_rolling(frame, blobs, seen, matches.found, plan, known, commons)
     if before is None:
-        answers = answers_of(plan, blobs, seen, matches, solutions, choices)
+        stood = stand(plan, matches.found, shown, solutions, choices, frame.exposed_ns, tracks, known)
+        answers = answers_of(plan, blobs, seen, matches, solutions, choices, stood)
         return FrameResult(frame.index, frame.exposed_ns, blobs, answers, learned), forgetful(known)
     place = place_now(before, plan, blobs, seen, matches.found, solutions)
     carried_over(choices, before.T_world_camera, place)
-    answers = answers_of(plan.at(place.T_world_camera), blobs, seen, matches, solutions, choices)
+    plan = plan.at(place.T_world_camera)
+    if plan.underfoot is not None and shown is not None:
+        shown = shown._replace(terms=shown.terms + of_place(place, solutions, choices))
+    stood = stand(plan, matches.found, shown, solutions, choices, frame.exposed_ns, tracks, known)
+    answers = answers_of(plan, blobs, seen, matches, solutions, choices, stood)
     result = FrameResult(frame.index, frame.exposed_ns, blobs, answers, learned, place)
     return result, forgetful(Following.of(known, place))
 
@@ -164,7 +171,7 @@ def _solve(
     plan: Plan,
     learned: Floats,
     commons: Floats,
-) -> Solutions:
+) -> tuple[Solutions, Seen]:
     """Both minima of every matched robot. An LED whose spot turns out to be odd leaves the assignment."""
     measured = Measured(seen.rays, seen.covariances, blobs.centres_px[seen.rows])
     solutions = Solutions.room(len(found.ts), learned[found.robots])
@@ -173,7 +180,7 @@ def _solve(
     if streaks is not None:
         solutions.covariances[...] += streaks[:, None]
     add_common_shifts(plan.constellations, found, measured, commons, plan.lens[FX], solutions)
-    return solutions
+    return solutions, Seen(measured, commons, np.zeros((len(found.ts), 6, 6)) if streaks is None else streaks)
 
 
 def _take_common_noise(blobs: Blobs, seen: Rays, found: Matched, claimed: Ints, plan: Plan, learned: Floats) -> None:

@@ -97,13 +97,14 @@ def frame_report(frame: Frame, result: FrameResult, rig: Rig, solved_ns: int) ->
             set_report_pose(entry.alternative.pose, answer.alternative.pose)
             entry.alternative.odds = answer.alternative.odds
         if answer.surface is not None:
-            entry.surface.CopyFrom(_surface_report(answer.surface))
+            entry.surface.CopyFrom(surface_report(answer.surface))
         for name, point in robot.points.items():
             set_vector(entry.points[name], answer.pose.map(point))
     return message
 
 
-def _surface_report(surface: OnSurface) -> "pb.OnSurface":
+def surface_report(surface: OnSurface) -> "pb.OnSurface":
+    """How a robot stands, as a message."""
     told = pb.OnSurface(
         standing=surface.standing,
         reason=surface.reason,

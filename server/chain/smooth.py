@@ -130,6 +130,7 @@ def smoothed(seen: PoseEstimate, pose: Pose, covariance: Floats, velocity: Veloc
         alternative=seen.alternative,
         smoothed_by=smoothed_by,
         extrapolated=seen.extrapolated,
+        surface=seen.surface,
         velocity=velocity,
     )
 

@@ -23,7 +23,7 @@ from asterism.server.output import check_folder_of_many
 from asterism.server.service.on_air import Place, on_air
 from asterism.server.service.serve import Outlets, Run
 from asterism.server.service.stop import Stop, stop_on_signals
-from asterism.server.simulation.demo_rig import DEMO_RIG
+from asterism.server.simulation.demo_rig import DEMO_WORKPIECE
 from asterism.server.simulation.simulate import Look
 from asterism.server.sources.session_clock import SessionClock
 from asterism.server.sources.simulated import Simulated
@@ -47,7 +47,7 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run for --seconds, or until Ctrl-C, then say where to look."""
     check_folder_of_many(options.record)
-    rig = load_rig(DEMO_RIG)
+    rig = load_rig(DEMO_WORKPIECE)
     console = Console()
     clock, stop = SessionClock(), Stop()
     place = Place(options.listen, options.connect, options.zenoh)

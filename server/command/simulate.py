@@ -19,6 +19,7 @@ from asterism.server.output import check_folder, new_folder
 from asterism.server.simulation.hand_film import hand_pose, pivot_pose
 from asterism.server.simulation.shared_floor import check_shared
 from asterism.server.simulation.simulate import Look, Scene
+from asterism.server.simulation.work import Lift, Work
 from asterism.server.sources.source import DEFAULT_RATE_HZ
 
 EXAMPLES = (
@@ -27,7 +28,10 @@ EXAMPLES = (
     "asterism simulate rig.yaml film --hand alpha --frames 300\n"
     "asterism simulate rig.yaml pivot --pivot alpha:tool --frames 100\n"
     "asterism simulate left.yaml right.yaml out --stagger\n"
+    "asterism simulate rig.yaml polished --raster --frames 600 --rate 10\n"
 )
+
+LANE_RADII = 1.5  # from lane to lane: what a tool goes over, its neighbour lane goes over a quarter of again
 
 
 def add_arguments(part: argparse.ArgumentParser) -> None:
@@ -50,6 +54,12 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     shown.add_argument(
         "--pivot", metavar="ROBOT:POINT", help="this robot alone, tilted about a point of it that rests at one place"
     )
+    shown.add_argument(
+        "--raster", action="store_true", help="robots go over their parts in lanes, as near as their tools' radius asks"
+    )
+    part.add_argument(
+        "--lift", metavar="ROBOT:METRES", help="this robot is off the surface from a third of the film to two thirds"
+    )
     part.add_argument("--glints", metavar="N", type=whole, default=0, help="glints a frame (default: 0)")
     part.add_argument(
         "--stagger", action="store_true", help="several cameras expose one after the other, not all at once"
@@ -69,7 +79,8 @@ def run(options: argparse.Namespace) -> int:
     shown, pose_of = _shown(rigs[0], options)
     warm_up(SIMULATE)
     look = Look(hidden=options.hide, glints=options.glints)
-    scenes = [Scene(rig, options.seed, look) for rig in [shown, *rigs[1:]]]
+    work = Work(_lanes(rigs[0]) if options.raster else None, _lift(rigs[0], options))
+    scenes = [Scene(rig, options.seed, look, work) for rig in [shown, *rigs[1:]]]
     several = len(rigs) > 1
     with new_folder(out, options.force) as made, ExitStack() as stack:
         films = [
@@ -82,6 +93,9 @@ def run(options: argparse.Namespace) -> int:
             truth = films[k].take(index, exposed_ns, pose_of)
             if world is not None:
                 world.add(films[k], exposed_ns, truth)
+    if scenes[0].lanes is not None:
+        lanes = scenes[0].lanes
+        print(f"lanes {1e3 * lanes.apart:.1f} mm apart; robots have driven all of them after {lanes.once_s:.1f} s")
     if several:
         cameras = ", ".join(rig.camera.name for rig in rigs)
         print(f"{options.frames} frames of each camera in {out} ({cameras})")
@@ -106,10 +120,40 @@ def _exposures(rigs: Sequence[Rig], options: argparse.Namespace) -> list[tuple[i
     """Exposure time in ns, number of the camera and of its frame, in the order of the times."""
     found = []
     for k, rig in enumerate(rigs):
-        rate = options.rate or rig.capture.rate_hz or DEFAULT_RATE_HZ
+        rate = _rate(rig, options)
         phase = k / len(rigs) if options.stagger else 0.0
         found += [(round((index + phase) * 1e9 / rate), k, index) for index in range(options.frames)]
     return sorted(found)
+
+
+def _rate(rig: Rig, options: argparse.Namespace) -> float:
+    return float(options.rate or rig.capture.rate_hz or DEFAULT_RATE_HZ)
+
+
+def _lanes(rig: Rig) -> float:
+    """How far apart lanes are, m, for those tools of the rig that are the smallest. Raises InputError."""
+    radii = [robot.stands.radius_m for robot in rig.robots if robot.stands is not None and robot.stands.radius_m]
+    if not radii:
+        raise InputError("--raster: no robot of the rig has a `radius` of its tool, expected one in its `stands`")
+    return LANE_RADII * min(radii)
+
+
+def _lift(rig: Rig, options: argparse.Namespace) -> Lift | None:
+    """Who is lifted, how far, and when. Raises InputError."""
+    if options.lift is None:
+        return None
+    argument = f"--lift {options.lift}"
+    for other, value in (("--hand", options.hand), ("--pivot", options.pivot)):
+        if value is not None:
+            raise InputError(f"{argument}: goes with robots that drive, expected no {other}")
+    robot, _, height = options.lift.rpartition(":")
+    try:
+        metres = positive(height)
+    except argparse.ArgumentTypeError as problem:
+        raise InputError(f"{argument}: {problem}; for example alpha:0.003") from None
+    _alone(rig, robot, argument)
+    seconds = options.frames / _rate(rig, options)
+    return Lift(robot, metres, seconds / 3.0, 2.0 * seconds / 3.0)
 
 
 def _shown(rig: Rig, options: argparse.Namespace) -> tuple[Rig, Callable[[int], Pose] | None]:

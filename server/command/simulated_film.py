@@ -12,7 +12,8 @@ import msgspec
 from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Pose
 from asterism.protocol.rig import Rig
-from asterism.protocol.yaml_file import parse_yaml
+from asterism.protocol.surface import HEIGHTS, STL
+from asterism.protocol.yaml_file import Section, parse_yaml
 from asterism.server.simulation.simulate import Scene, Truth
 from asterism.server.sources.frame_times import HEADER, NAME
 
@@ -99,14 +100,27 @@ class WorldTruth(ExitStack):
 
 def named_files(rig_path: Path, rig: Rig) -> dict[str, str]:
     """The files that the rig names, by the names it gives them, relative to the rig's copy."""
-    camera = parse_yaml(rig.rig_text, str(rig_path)).text("camera")
+    section = parse_yaml(rig.rig_text, str(rig_path))
+    camera = section.text("camera")
     robots = {rig.robots_name: rig.files[rig.robots_name]} if rig.robots_name else {}
-    files = {camera: rig.camera_text, **robots, **rig.offset_texts}
+    surface = _surface_file(section, rig)
+    files = {camera: rig.camera_text, **robots, **surface, **rig.offset_texts}
     for name in files:
         if Path(name).is_absolute() or ".." in Path(name).parts:
-            key = "camera" if name == camera else "robots" if name in robots else "led.offset"
+            key = next(
+                (key for key, held in (("camera", {camera}), ("robots", robots), ("surface", surface)) if name in held),
+                "led.offset",
+            )
             raise InputError(f"{rig_path}: {key}: {name}, expected a file beside the rig to copy it")
     return files
+
+
+def _surface_file(section: Section, rig: Rig) -> dict[str, str]:
+    """The file that the rig's surface is in, where it is in one."""
+    if rig.surface is None:
+        return {}
+    inner = section.section("surface")
+    return {inner.text(key): rig.files[inner.text(key)] for key in (HEIGHTS, STL) if key in inner}
 
 
 def _told(entry: Truth, rig: Rig) -> dict[str, Any]:

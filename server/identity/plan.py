@@ -15,6 +15,7 @@ from asterism.server.identity.quads import QuadTable
 from asterism.server.pose.choose import Mounts
 from asterism.server.pose.lens import lens_of
 from asterism.server.pose.matched import Constellations
+from asterism.server.pose.on_surface import Underfoot
 from asterism.server.pose.rolling import Shutter
 from asterism.server.pose.spot_shift import optics_of
 from asterism.server.segmentation.segment import Scratch
@@ -38,6 +39,7 @@ class Plan:
         self.layouts: Floats = np.ascontiguousarray([robot.leds_plane for robot in rig.robots])
         self.constellations = Constellations(self.layouts, np.array([optics_of(robot) for robot in rig.robots]))
         self.mounts = Mounts.of(rig)
+        self.underfoot = Underfoot.of(rig)
         self.extents = np.array([robot.extent for robot in rig.robots])
         self.smallest, self.largest = float(self.extents.min()), float(self.extents.max())
         self.separations = np.full(len(rig.robots), np.inf)
@@ -78,6 +80,8 @@ class Plan:
         other = copy.copy(self)
         place = T_world_camera.rotation, T_world_camera.position.copy()
         other.mounts = self.mounts._replace(camera_rotation=place[0], camera_origin=place[1])
+        if self.underfoot is not None:
+            other.underfoot = self.underfoot.at(self.rig, T_world_camera)
         return other
 
     def borrow_scratch(self) -> Scratch:

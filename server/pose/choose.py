@@ -90,6 +90,12 @@ class _Work(NamedTuple):
 
 
 @compiled
+def turn_room():
+    """Room for one choice's."""
+    return _Work(np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3))
+
+
+@compiled
 def axis_cost(axis, wanted, within):
     """Squared sigmas by which a direction (3,) leaves the cone of half angle ``within`` rad around a wanted one."""
     dot = axis[0] * wanted[0] + axis[1] * wanted[1] + axis[2] * wanted[2]
@@ -124,7 +130,7 @@ def remembered(before, now, noise_share):
 
 
 @compiled
-def _to_parent(rotation, t, robot, mounts, work, position, quaternion):
+def to_parent(rotation, t, robot, mounts, work, position, quaternion):
     """Fill a robot's ``position`` (3,) and ``quaternion`` (4,), T_parent_robot, from its T_camera_plane.
 
     Leaves in ``work.arm`` the robot's origin as seen from the plane's, in the camera's axes.
@@ -153,7 +159,7 @@ def _to_parent(rotation, t, robot, mounts, work, position, quaternion):
 
 
 @compiled
-def _carry(covariance, view, arm, out):
+def carry(covariance, view, arm, out):
     """Fill ``out`` (6, 6) with a pose's covariance moved by ``arm`` and about the parent's axes."""
     out[:, :] = covariance
     move_origin(out, arm)
@@ -170,7 +176,7 @@ def choose(matched, exposed_ns, solutions, heights, mounts, tracks, choices):
     ``heights`` (n,) are those of the spots.
     """
     totals = np.empty(2)
-    work = _Work(np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3))
+    work = turn_room()
     for k in range(matched.robots.shape[0]):
         robot, costs = matched.robots[k], solutions.costs[k]
         rotations, ts, covariances = solutions.rotations[k], solutions.ts[k], solutions.covariances[k]
@@ -193,11 +199,11 @@ def choose(matched, exposed_ns, solutions, heights, mounts, tracks, choices):
         evidence = 0.5 * (min(totals[other], NO_SOLUTION) - totals[chosen])
         choices.best[k], choices.odds[k] = chosen, math.exp(min(evidence, math.log(MOST_ODDS)))
         positions, quaternions = choices.positions[k], choices.quaternions[k]
-        _to_parent(rotations[chosen], ts[chosen], robot, mounts, work, positions[0], quaternions[0])
-        _carry(covariances[chosen], mounts.camera_rotation, work.arm, choices.covariances[k])
+        to_parent(rotations[chosen], ts[chosen], robot, mounts, work, positions[0], quaternions[0])
+        carry(covariances[chosen], mounts.camera_rotation, work.arm, choices.covariances[k])
         has_other = costs[other] < NO_SOLUTION
         if has_other:
-            _to_parent(rotations[other], ts[other], robot, mounts, work, positions[1], quaternions[1])
+            to_parent(rotations[other], ts[other], robot, mounts, work, positions[1], quaternions[1])
         height = median_of(heights, matched.assignment[k])
         seen = LastSeen(
             rotations[chosen], ts[chosen], covariances[chosen], height, rotations[other], has_other, evidence,

@@ -50,7 +50,8 @@ class OnSurface:
     it rests on light alone, and ``reason`` says why. By light alone: ``off_m`` from the surface to the robot's point
     along the normal, positive out of the material, and ``tilt_off_rad`` between axis and normal, each with its sigma,
     light and surface together; nan where there is no surface. ``without``: what light alone says, where the surface was
-    used: position, orientation, its covariance (6, 6), and the other tilt.
+    used: position, orientation, its covariance (6, 6), and the other tilt. ``by_spots`` (6, 6): the part of the
+    pose's covariance that single spots' errors make; the rest is the surface's, and stays.
     """
 
     standing: str
@@ -62,6 +63,7 @@ class OnSurface:
     without: Pose | None = None
     without_covariance: Floats | None = None
     without_alternative: Alternative | None = None
+    by_spots: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -244,7 +246,7 @@ def _measure_up(robot, solution, better, count, focal, work, valley):
 
 
 @compiled
-def _fill_residuals(lens, robot, rotation, t, centres_px, shifts, residuals):
+def fill_residuals(lens, robot, rotation, t, centres_px, shifts, residuals):
     """Fill ``residuals`` (6, 2) px of a pose: observed minus predicted, 0 for LEDs not seen."""
     layout, labels = robot.layout, robot.labels
     spot_shifts(rotation, t, layout, robot.optics, shifts)
@@ -278,7 +280,7 @@ def _solve(lens, robot, measured, solution, focal, work, valley):
                 lit = lit_of(work, which, count, work.information)
                 add_doubts(rotations[which], ts[which], lit, robot.optics, work.arm, solution.covariances[which])
             ts[which] += work.arm
-            _fill_residuals(
+            fill_residuals(
                 lens, robot, rotations[which], ts[which], measured.centres_px, work.shifts, solution.residuals[which]
             )
 

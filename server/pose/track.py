@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
 from asterism.server.pose.courses import Courses
+from asterism.server.pose.remembered import REMEMBERED
 from asterism.server.pose.rotations import angle_between, exp_into, log_between, product_into
 
 ACCELERATION = 6.0  # m/s^2, one sigma: a small robot that starts or stops hard
@@ -58,6 +59,7 @@ class Tracks(NamedTuple):
     courses: Courses  # under a rolling shutter only
     misfits: Floats  # (robots, 5), see above
     reasons: Floats  # (robots, 3): why a robot was missing, as `identity.explain` found last
+    offs: Floats  # (robots, REMEMBERED, 3): how far off the surface light saw them, as in `remembered`
 
     @staticmethod
     def none(robots: int = 0) -> "Tracks":
@@ -73,6 +75,7 @@ class Tracks(NamedTuple):
             Courses.none(),
             np.zeros((robots, 5)),
             np.zeros((robots, 3)),
+            np.zeros((robots, REMEMBERED, 3)),
         )
 
     def copy_for(self, robots: int) -> "Tracks":
@@ -90,6 +93,7 @@ class Tracks(NamedTuple):
             self.courses,
             self.misfits.copy(),
             self.reasons.copy(),
+            self.offs.copy(),
         )
 
     @staticmethod

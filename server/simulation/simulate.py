@@ -23,8 +23,10 @@ from asterism.protocol.rig import Rig
 from asterism.server.compiled import compiled
 from asterism.server.pose.lens import lens_of, project_point
 from asterism.server.simulation.drive import Drive
-from asterism.server.simulation.table import drives, table_of
+from asterism.server.simulation.ground import RigSurface
+from asterism.server.simulation.table import as_driven, drives, table_of
 from asterism.server.simulation.view import reach_of
+from asterism.server.simulation.work import Lanes, Work
 
 DEFAULT_LED_RADIUS = 0.0025  # m, where the rig does not say
 PATCH_SIGMAS = 5.0  # reach of a point's light
@@ -57,9 +59,12 @@ class Truth:
 
 
 class Scene:
-    """The rig's robots on a curved surface before its camera; `table` says which one."""
+    """The rig's robots on a curved surface before its camera, the rig's own where it has one; `table` says where.
 
-    def __init__(self, rig: Rig, seed: int = 0, look: Look | None = None) -> None:
+    Raises InputError where the rig's surface has no room for them.
+    """
+
+    def __init__(self, rig: Rig, seed: int = 0, look: Look | None = None, work: Work | None = None) -> None:
         self.rig = rig
         self.seed = seed
         self.look = look or Look()
@@ -73,7 +78,8 @@ class Scene:
         driving = [k for k, robot in enumerate(rig.robots) if drives(rig, robot)]
         order = sorted(driving, key=lambda k: rig.robots[k].id) if common else driving
         self._own = (zlib.crc32(rig.camera.name.encode()),) if common else ()
-        self._drive = Drive([rig.robots[k] for k in order], seed, self.table.half)
+        ground = None if rig.surface is None else RigSurface(rig.surface, self.table.middle)
+        self._drive = Drive([as_driven(rig, rig.robots[k]) for k in order], seed, self.table.half, ground, work)
         self._driver = {k: number for number, k in enumerate(order)}
         self.led_brightness = np.ones((len(rig.robots), LEDS))
         self.led_brightness[order] = self._drive.led_brightness
@@ -81,6 +87,11 @@ class Scene:
         self._quadrature = quadrature(
             1.2 * radius * float(rig.camera.matrix[0, 0]) / self.table.distance, self.look.psf_px
         )
+
+    @property
+    def lanes(self) -> Lanes | None:
+        """The lanes that its robots go over their parts in, if they do."""
+        return self._drive.lanes
 
     def pose(self, index: int, time_s: float) -> Pose:
         """T_camera_robot of a robot at a time."""
