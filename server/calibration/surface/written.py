@@ -7,7 +7,7 @@ import numpy as np
 from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.rig import Rig
 from asterism.protocol.surface import TERMS, Heights, Quadric, Surface
-from asterism.protocol.surface_file import Stands
+from asterism.protocol.surface_file import LARGEST_TILT_DEG, Stands
 from asterism.server.calibration.rewrite import Value, number, without
 from asterism.server.calibration.surface.surface_fit import SurfaceFit
 
@@ -50,8 +50,10 @@ def _stands(stands: Stands, axis: Floats) -> Value:
     told: dict[str, Value] = {
         "point": stands.point,
         "sigma": float(f"{stands.sigma_m:.2g}"),
-        "tilt_sigma_deg": float(f"{np.degrees(stands.tilt_sigma_rad):.2g}"),
     }
+    tilt = float(f"{np.degrees(stands.tilt_sigma_rad):.2g}")
+    if tilt < LARGEST_TILT_DEG:  # else its tilt says nothing
+        told["tilt_sigma_deg"] = tilt
     if not np.allclose(stands.axis, axis, atol=1e-9):
         told["axis"] = (stands.axis.round(6) + 0.0).tolist()
     return told
