@@ -17,7 +17,7 @@ from asterism.server.simulation.demo_rig import DEMO_RIG
 from asterism.server.simulation.measured_rig import HUNG_M, HUNG_RAD, drawn_camera
 
 POLISHING = 4  # of the demonstration's robots
-SIZE_M, STEP_M = (0.64, 0.48), 0.01  # of the drawing, whose corner is its origin; of its nodes
+SIZE_M, STEP_M = (0.48, 0.36), 0.01  # of the drawing, whose corner is its origin; of its nodes
 BOTTOM_M = 0.0  # z of the drawing
 HEIGHT_M = 1.25  # of the camera above the table
 LAID_M, LAID_RAD = 4e-3, 0.015  # where it lies on the table, per axis
