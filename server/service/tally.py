@@ -157,13 +157,13 @@ def _told(robot: _Robot) -> str:
 
 
 def _surface(robot: _Robot) -> str:
-    """How many poses rest on the surface, and how many not and why, with the newest reason; nothing without one."""
+    """How many poses rest on the surface, and how many not, with the newest reason of the most frequent kind."""
     if not robot.standings:
         return ""
-    others = [
-        f"{count} {name}" + (f" (in the last because: {robot.off[name]})" if robot.off[name] else "")
-        for name, count in robot.standings.most_common()
-        if name != ON_SURFACE
-    ]
+    others = [(name, count) for name, count in robot.standings.most_common() if name != ON_SURFACE]
     told = f"; {robot.standings[ON_SURFACE]} rest on the surface"
-    return f"{told}, not: {', '.join(others)}" if others else told
+    if not others:
+        return told
+    told += f", not {', '.join(f'{count} {name}' for name, count in others)}"
+    reason = robot.off[others[0][0]]
+    return f"{told}: {reason}" if reason else told
