@@ -207,7 +207,7 @@ def read_stands(section: Section, points: Mapping[str, Floats], axis: Floats) ->
         raise section.error("sigma", f"{sigma:g}, expected a number above 0, m: how far the point may be off")
     if "axis" in section:
         axis = np.array(section.numbers("axis", 3, "what points along the surface's normal, in the robot's frame"))
-        if not axis.any():
+        if float(np.linalg.norm(axis)) == 0.0:
             raise section.error("axis", "[0, 0, 0] has no direction, expected a vector of any length above 0")
     tilt = _tilt(section) if "tilt_sigma_deg" in section else math.inf
     if tilt <= 0.0:
