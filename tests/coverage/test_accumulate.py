@@ -1,6 +1,7 @@
 """Where tools were, against what is known of paths: areas, times, passes, and what is left out."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -141,7 +142,7 @@ def test_however_poses_are_cut_into_batches_the_map_is_the_same(surface: Surface
     whole = told(surface, raster())
     one, many = none(surface).add({"a": whole}, PERIOD_S), none(surface)
     cuts = [0, *np.sort(rng.integers(0, 3000, 7)).tolist(), 3000]
-    for begin, end in zip(cuts[:-1], cuts[1:], strict=True):
+    for begin, end in pairwise(cuts):
         many = many.add({"a": Told(*(column[begin:end] for column in whole))}, PERIOD_S)
     a, b = visits(one), visits(many)
     assert np.allclose(a.dwell_s, b.dwell_s, rtol=1e-9, atol=1e-12)
