@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from asterism.protocol.codec import decode_image
 from asterism.protocol.errors import InputError
-from asterism.protocol.messages import FRAME_REPORT, PROTOCOL, STATUS, Kind, Message
+from asterism.protocol.messages import FRAME_REPORT, PROTOCOL, UNNUMBERED, Kind, Message
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig
 from asterism.recordings.records import MAGIC, Damaged, read_metadata
@@ -98,8 +98,7 @@ class Recording:
         images = self._images()
         image = next(images, None)
         for message in self.messages():
-            # A status counts itself, everything else tells its frame's number.
-            while image is not None and message.kind.schema != STATUS.schema and image.sequence <= message.sequence:
+            while image is not None and message.kind.schema not in UNNUMBERED and image.sequence <= message.sequence:
                 yield image
                 image = next(images, None)
             yield message

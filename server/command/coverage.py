@@ -36,6 +36,8 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Add the recordings up, print the table, write the folder."""
+    from asterism.server.chain.kernel_list import COVERAGE
+    from asterism.server.chain.warm_up import warm_up
     from asterism.server.command.coverage_tables import print_coverage
     from asterism.server.command.progress import working
     from asterism.server.coverage.days import days_of
@@ -49,6 +51,7 @@ def run(options: argparse.Namespace) -> int:
         days, passed = days_of(options.recordings, options.tool_radius)
     for day in passed:
         say(f"{day.path}: passed over, what was joined of its camera '{day.camera}' is there as well")
+    warm_up(COVERAGE)
     found, added = _added_up(days)
     print_coverage(found, added)
     cameras = ", ".join(dict.fromkeys(day.camera for day in days))

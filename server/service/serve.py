@@ -19,6 +19,7 @@ from asterism.server.pose.solve import PoseEstimate
 from asterism.server.pose.track import Tracks
 from asterism.server.service.adviser import Adviser
 from asterism.server.service.carry import carried, carried_motions
+from asterism.server.service.covering import Covering
 from asterism.server.service.disk import Disk
 from asterism.server.service.drift import Drift
 from asterism.server.service.events import Events
@@ -89,6 +90,7 @@ class Run:
         self._adviser = Adviser(rig, self.health.tally, say)
         self._drift = Drift(rig, say)
         self._surface = SurfaceWatch(rig, say)
+        self._covering = Covering(rig)
         self._disk = None if outlets.recorder is None else Disk(outlets.recorder, say)
         self._systemd = Systemd()
         self._events = Events(rig.camera.name)
@@ -181,11 +183,13 @@ class Run:
         if (step_ns := self.clock.look()) is not None:
             say(f"this machine's clock was set by {step_ns * 1e-9:+.3f} s; a new session begins")
         now = self.clock.now_ns()
-        status = self.outlets.publisher.publish([self.health.message(now, self.clock.session)])
+        told = [self.health.message(now, self.clock.session)]
+        told += self._covering.look(self.clock.session, lambda: time.sleep(BREATH_S))
+        told = self.outlets.publisher.publish(told)
         if self.outlets.recorder is not None:
-            self.outlets.recorder.write(status, None, now, 0)
+            self.outlets.recorder.write(told, None, now, 0)
         for outlet in self.outlets.others:
-            outlet.between(status)
+            outlet.between(told)
         if self._disk is not None:
             self._disk.look()
         self._adviser.look()
@@ -226,6 +230,7 @@ class Run:
             self._drift.add(result)
             if self._surface.watches:
                 watched.give(result)
+            self._covering.add(messages)
             messages += publisher.publish(self._events.add(result, frame.session), frame.session)
             if recorder is not None:
                 recorder.write(messages, frame.image, frame.exposed_ns, frame.index)
@@ -266,6 +271,7 @@ class Run:
         self._adviser = Adviser(rig, self.health.tally, say)
         self._drift = self._drift.with_rig(rig)
         self._surface = SurfaceWatch(rig, say)
+        self._covering.take_rig(rig)
         if self.outlets.recorder is not None:
             self.outlets.recorder.take_rig(rig)
         for outlet in self.outlets.others:
