@@ -25,15 +25,21 @@ from asterism.server.calibration.result_file import check_result_file, write_res
 from asterism.server.calibration.rig_texts import RigTexts, check_rig_files, told_of
 from asterism.server.calibration.surface.calibration import calibrate_surface
 from asterism.server.calibration.surface.located import Located, Sight
+from asterism.server.calibration.surface.pictures import drawing_png, surface_png
 from asterism.server.calibration.surface.reported import check_camera, sights_of_lines, sights_of_recording
+from asterism.server.calibration.surface.residual_map import table_text
 from asterism.server.calibration.surface.surface_fit import SurfaceFit
 from asterism.server.calibration.surface.touching import Standing, contacts_of, pose_by_spots
 from asterism.server.calibration.surface.written import stands_changes, with_surface
 from asterism.server.chain.warm_up import localizing, warm_up
+from asterism.server.command import registered_surface
 from asterism.server.command.calibrate import add_source_and_out
-from asterism.server.command.calibrated_surface import comments, tell
+from asterism.server.command.calibrated_surface import comments, shared_text, tell
 from asterism.server.command.fitted_rig import open_fitting
+from asterism.server.command.number_arguments import positive
 from asterism.server.command.progress import progress, working
+from asterism.server.command.registered_surface import read_drawing, registered
+from asterism.server.output import new_file
 from asterism.server.service.say import say
 from asterism.server.sources.open_source import refuse_endless
 
@@ -41,8 +47,10 @@ EXAMPLES = (
     "asterism calibrate surface rig.yaml film/ -o rig2.yaml\n"
     "asterism calibrate surface rig.yaml recordings/drive -o rig2.yaml\n"
     "asterism calibrate surface rig.yaml poses.jsonl --point wheel -o rig2.yaml\n"
+    "asterism calibrate surface rig.yaml film/ --stl mould.stl --scale 0.001 -o rig2.yaml\n"
 )
 
+BESIDE = ("surface.csv", "surface.png", "differs.csv")  # of a rig, what is written with it
 TOOL = "tool"  # by which robots stand, unless it is told otherwise
 SAMPLE = 200  # poses that tell what the lens adds
 
@@ -55,12 +63,21 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help=f"by which of its `points` a robot stands that has no `stands` in the rig (default: {TOOL})",
     )
+    part.add_argument(
+        "--stl", metavar="FILE", type=Path, help="a drawing of the surface: where it lies, and how the mould differs"
+    )
+    part.add_argument("--scale", metavar="FACTOR", type=positive, help="of the drawing: 0.001 for one in mm")
+    part.add_argument(
+        "--as-drawn", action="store_true", help="the rig takes the drawing itself, without what the mould differs"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Fit, write the rig with its surface, say what it is worth."""
-    table = options.out.with_name(f"{options.out.stem}.surface.csv")
-    for path in (options.out, table):
+    table, picture, differs = (options.out.with_name(f"{options.out.stem}.{end}") for end in BESIDE)
+    if options.stl is None and (options.scale is not None or options.as_drawn):
+        raise InputError(f"{'--as-drawn' if options.as_drawn else '--scale'}: is of a drawing, expected --stl FILE too")
+    for path in (options.out, table, picture, *([differs] if options.stl else [])):
         check_result_file(path, options.force)
     check_uncertainty_file(options.out, options.force)
     refuse_endless(options.source, "calibrate surface")
@@ -70,14 +87,32 @@ def run(options: argparse.Namespace) -> int:
     camera_path = Path(options.rig).parent / parse_yaml(rig.rig_text, options.rig).text("camera")
     uncertainty = read_uncertainty(Path(options.rig), rig.centre, camera_path)
     lens = lens_error_of(rig.camera, camera_path, uncertainty)
+    triangles = read_drawing(options.stl, options.scale or 1.0) if options.stl else None
     rig, sights = read_sights(options, rig)
     fit = fitted_to(rig, sights, names, uncertainty, options.source)
     shared = shared_sigma(rig, sights, uncertainty, lens)
-    written = write_surface(options, rig, fit, table)
-    tell(fit, shared, lens.told_by)
-    for line in written:
+    if triangles is not None:
+        with working("registering the drawing"):
+            laid = registered(fit, triangles, options.stl, rig, options.as_drawn)
+            picture_png, table_of = drawing_png(laid.fit, laid.differs), table_text(laid.differs)
+        written = write_surface(options, rig, laid.fit, table, registered_surface.comments(laid))
+        written.append(_written(differs, table_of.encode(), options.force))
+        registered_surface.tell(laid)
+        print(shared_text(shared, lens.told_by))
+    else:
+        picture_png = surface_png(fit)
+        written = write_surface(options, rig, fit, table, comments(fit))
+        tell(fit, shared, lens.told_by)
+    for line in (*written, _written(picture, picture_png, options.force)):
         print(line)
     return 0
+
+
+def _written(path: Path, data: bytes, force: bool) -> str:
+    """A sentence about a file that was written beside the rig."""
+    with new_file(path, force) as output:
+        output.path.write_bytes(data)
+    return f"written: {path}" + (f"; the old one is kept as {output.kept}" if output.kept else "")
 
 
 def standing_points(rig: Rig, point: str | None, path: str) -> dict[str, str]:
@@ -172,11 +207,13 @@ def shared_sigma(rig: Rig, sights: list[Sight], uncertainty: Uncertainty, lens: 
     return float(np.sqrt(np.mean(squared)))
 
 
-def write_surface(options: argparse.Namespace, rig: Rig, fit: SurfaceFit, table: Path) -> list[str]:
-    """Write the rig, and its heights beside it; sentences about that."""
+def write_surface(
+    options: argparse.Namespace, rig: Rig, fit: SurfaceFit, table: Path, said: list[str]
+) -> list[str]:  # fmt: skip
+    """Write the rig with what is ``said`` above its surface, and its heights beside it; sentences about that."""
     texts = RigTexts.of(rig, options.rig).rewritten(stands_changes(fit, rig))
     name = relative(table, Path(options.rig).parent)
-    texts = replace(texts, text=with_surface(texts.text, fit.surface, name, comments(fit)))
+    texts = replace(texts, text=with_surface(texts.text, fit.surface, name, said))
     heights = heights_text(fit.map)
     files = {**rig.files, **({rig.robots_name: texts.robots} if rig.robots_name else {}), name: heights}
     parse_rig(texts.text, rig.camera_text, str(options.out), rig.offset_texts, files)

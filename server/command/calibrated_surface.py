@@ -30,8 +30,9 @@ def comments(fit: SurfaceFit) -> list[str]:
 
 def tell(fit: SurfaceFit, shared_m: float, told_by: str) -> None:
     """Kind and why, residuals, sigmas, robots, what to do next."""
-    for line in (_kind(fit), _places(fit), _sure(fit), _shared(shared_m, told_by)):
+    for line in (_kind(fit), _places(fit), _sure(fit)):
         print(textwrap.fill(line, WIDTH, subsequent_indent="  "))
+    print(shared_text(shared_m, told_by))
     console = Console()
     if not console.is_terminal:
         console = Console(width=160)
@@ -70,12 +71,14 @@ def _sure(fit: SurfaceFit) -> str:
     )
 
 
-def _shared(shared_m: float, told_by: str) -> str:
+def shared_text(shared_m: float, told_by: str) -> str:
+    """What the lens may be off, which no file says."""
     by = "ASSUMED" if told_by == "assumed" else f"by {told_by}"
-    return (
+    text = (
         f"beside that, what the lens may be off moves it with all poses by {1e3 * shared_m:.3f} mm ({by}); that is in "
         "no file, since all poses through the lens share it"
     )
+    return textwrap.fill(text, WIDTH, subsequent_indent="  ")
 
 
 def _sigmas(fit: SurfaceFit) -> tuple[float, float, float]:

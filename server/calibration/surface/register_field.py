@@ -19,8 +19,10 @@ WIDTHS = (2.0, 0.2, 6)  # least, in patches; most, of the contacts' extent: wide
 SIZES = np.geomspace(1e-2, 1e3, 51)  # of the field over the noise that is typical
 FAR = 0.1  # patches beside a place that count as much as the field's size by and large
 ADAPTED = 6  # rounds
-NEAR = 1.0  # widths, over which the field's size is taken for the same
+ALLOWED = 4.0  # of -2 log of the likelihood, two sigmas, by which a width may be less likely than the likeliest
+NEAR = 0.4  # widths, over which the field's size is taken for the same
 LEAST_TOLD = 0.05
+LEAST_SIZE = 0.3  # of the field's size by and large
 CHANCE = 3.0  # sigma of chi squared, beyond which the noise is larger than told
 
 
@@ -81,23 +83,29 @@ def by_all(units: Units) -> Floats:
     return np.concatenate([-units.by_pose, units.by_robots], axis=1)
 
 
-def learned(units: Units, known: Known) -> Field:
-    """Size and width of the field that make what is off the likeliest."""
+def learned(units: Units, known: Known, like: Field | None = None) -> Field:
+    """Size and width of the field that make what is off the likeliest, or those of one ``like`` it; adapted."""
+    field = _likeliest(units, known) if like is None else like
+    field = field._replace(places=units.places, sizes=field.at(units.places))
+    for _ in range(ADAPTED):
+        field = _adapted(units, field, known)
+    return field
+
+
+def _likeliest(units: Units, known: Known) -> Field:
     extent = float(np.linalg.norm(np.ptp(units.places, axis=0)))
     least, most, count = WIDTHS
     low = least * units.size_m
     widths = np.geomspace(low, max(most * extent, 2.0 * low), count)
     tried = [_sizes(units, known, width) for width in widths]
-    best = int(np.argmin([chi2.min() for chi2, _, _ in tried]))
+    likeliest = np.array([chi2.min() for chi2, _, _ in tried])
+    best = int(np.argmax(likeliest < likeliest.min() + ALLOWED))  # the narrowest: a wide one flattens dents
     chi2, sizes, noises = tried[best]
     # The mean over what is likely and not the likeliest alone: that nothing was seen to differ is not that nothing may.
     likely = np.exp(-0.5 * (chi2 - chi2.min()))
     likely /= likely.sum()
     size = math.sqrt(float(likely @ sizes**2))
-    field = Field(size, float(widths[best]), float(likely @ noises), units.places, np.full(len(units.off), size))
-    for _ in range(ADAPTED):
-        field = _adapted(units, field, known)
-    return field
+    return Field(size, float(widths[best]), float(likely @ noises), units.places, np.full(len(units.off), size))
 
 
 def _adapted(units: Units, field: Field, known: Known) -> Field:
@@ -109,7 +117,8 @@ def _adapted(units: Units, field: Field, known: Known) -> Field:
     mean, variance = posterior(units, field, found)
     near = matern(cdist(units.places, units.places) / (NEAR * field.width_m))
     told = np.clip(1.0 - variance / field.sizes**2, LEAST_TOLD, 1.0)
-    return field._replace(sizes=np.sqrt(near @ mean**2 / (near @ told)))
+    sizes = np.sqrt(near @ mean**2 / (near @ told))
+    return field._replace(sizes=np.maximum(sizes, LEAST_SIZE * field.size_m))
 
 
 def posterior(units: Units, field: Field, found: Joint) -> tuple[Floats, Floats]:

@@ -55,7 +55,8 @@ def fitted(drawing: Heights, contacts: Contacts, start: Pose, prior: Prior | Non
     for _ in range(rounds):
         left = left_of(drawing, pose, contacts, exact=False)
         misfit = misfit_of(left)
-        weights = _weights(left, misfit) * left.inside / (left.variances + misfit**2)
+        there = np.where(left.inside, left.variances + misfit**2, np.inf)
+        weights = _weights(left, misfit) / there
         by = left.by_pose * scale
         normal, gradient = (by.T * weights) @ by, -(by.T * weights) @ left.off
         if prior is not None:

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline, RegularGridInterpolator
 from scipy.linalg import solve_triangular
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, label
 from scipy.spatial import cKDTree
+from scipy.stats import norm
 
 from asterism.protocol.geometry import Floats
 from asterism.protocol.surface import Heights, Surface
@@ -18,7 +19,7 @@ from asterism.server.calibration.surface.register_left import extent_of, moves
 
 MOST_NODES = 5000
 FINEST_M = 0.002
-REAL = 3.0  # sigmas, from which on a difference is one
+CHANCE = 0.01  # that anywhere a difference is called one that is none
 REACH = 1.5  # patches from touches within which a place was visited
 LEAST_SIGMA_M = 1e-6
 
@@ -26,9 +27,9 @@ LEAST_SIGMA_M = 1e-6
 class ResidualMap(NamedTuple):
     """How the mould differs from its drawing, on a grid in the drawing's frame: node (i, j) is at ``origin`` (2,) +
     (i, j) * ``step`` (2,), m. ``values`` (nx, ny) m along the normal, out of the material, with ``sigmas``; nan where
-    there is no drawing. ``visited`` (nx, ny) where robots were; ``real``, where there it differs by more than `REAL`
-    sigmas. ``totals``: one sigma of the mould itself, the pose's with it, m; ``tilt_sigma``: of its direction where it
-    was visited, rad.
+    there is no drawing. ``visited`` (nx, ny) where robots were; ``real``, where there it differs by more than
+    ``chance`` sigmas, which chance does nowhere. ``totals``: one sigma of the mould itself, the pose's with it, m;
+    ``tilt_sigma``: of its direction where it was visited, rad.
     """
 
     origin: Floats
@@ -38,12 +39,13 @@ class ResidualMap(NamedTuple):
     visited: NDArray[np.bool_]
     totals: Floats
     tilt_sigma: float
+    chance: float
 
     @property
     def real(self) -> NDArray[np.bool_]:
         """(nx, ny)."""
         with np.errstate(invalid="ignore"):
-            real: NDArray[np.bool_] = self.visited & (np.abs(self.values) > REAL * self.sigmas)
+            real: NDArray[np.bool_] = self.visited & (np.abs(self.values) > self.chance * self.sigmas)
         return real
 
     @property
@@ -70,7 +72,14 @@ def residual_map(found: Registration) -> ResidualMap:
     sigmas, totals = (np.where(there, np.sqrt(np.maximum(part, 0.0)), np.nan).reshape(counts) for part in own)
     visited = (np.isfinite(away) & there).reshape(counts)
     tilt = math.sqrt(max(float(np.median(slopes.reshape(counts)[visited])), 0.0)) if visited.any() else 0.0
-    return ResidualMap(low, steps, np.where(there, values, np.nan).reshape(counts), sigmas, visited, totals, tilt)
+    values = np.where(there, values, np.nan).reshape(counts)
+    return ResidualMap(low, steps, values, sigmas, visited, totals, tilt, _chance(found, visited, steps))
+
+
+def _chance(found: Registration, visited: NDArray[np.bool_], steps: Floats) -> float:
+    """How many sigmas noise is off at most in all the places that are told apart by the field's width."""
+    places = max(float(visited.sum() * steps.prod()) / found.laid.field.width_m**2, 1.0)
+    return float(norm.isf(0.5 * CHANCE / places))
 
 
 def _whole(drawing: Heights) -> Heights:
@@ -116,6 +125,41 @@ def _slopes(
         slope = (variances / steps[axis] ** 2).reshape(shape)
         out += 0.5 * np.pad(slope, [(0, 1) if k == axis else (0, 0) for k in range(2)], mode="edge")
     return out.ravel()
+
+
+class Place(NamedTuple):
+    """Where a mould differs for sure: the middle of it, ``xy`` (2,) m in the drawing's frame, by how much at most,
+    ``off_m`` +- ``sigma_m``, and its area, ``area_m2``.
+    """
+
+    xy: Floats
+    off_m: float
+    sigma_m: float
+    area_m2: float
+
+
+def places_of(differs: ResidualMap) -> list[Place]:
+    """All such places, the worst first."""
+    names, count = label(differs.real, np.ones((3, 3)))
+    out = []
+    for name in range(1, count + 1):
+        nodes = np.argwhere(names == name)
+        worst = nodes[np.abs(differs.values[tuple(nodes.T)]).argmax()]
+        i, j = worst
+        at = differs.origin + differs.step * worst
+        area = len(nodes) * float(differs.step.prod())
+        out.append(Place(at, float(differs.values[i, j]), float(differs.sigmas[i, j]), area))
+    return sorted(out, key=lambda place: -abs(place.off_m))
+
+
+def table_text(differs: ResidualMap) -> str:
+    """The map as a table: a row for every node of the drawing, m."""
+    lines = ["x,y,differs,sigma,visited,real"]
+    for i, j in np.argwhere(np.isfinite(differs.values)).tolist():
+        x, y = differs.origin + differs.step * [i, j]
+        told = f"{differs.values[i, j]:.7f},{differs.sigmas[i, j]:.2g}"
+        lines.append(f"{x:.6g},{y:.6g},{told},{int(differs.visited[i, j])},{int(differs.real[i, j])}")
+    return "\n".join(lines) + "\n"
 
 
 def as_it_is(found: Registration, differs: ResidualMap) -> Heights:

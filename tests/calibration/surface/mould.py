@@ -13,6 +13,7 @@ BUMPS = np.array([  # x, y, height, radius, m
     [0.09, 0.08, 0.012, 0.05], [0.29, 0.20, 0.018, 0.07], [0.20, 0.10, -0.009, 0.045], [0.10, 0.23, 0.007, 0.06],
     [0.34, 0.06, 0.010, 0.04],
 ])  # fmt: skip
+DENT = np.array([0.15, 0.15])  # m, of a mould that is not as drawn
 LIES = Pose.from_matrix(exp_rotation(np.array([0.05, -0.08, 0.9])), np.array([-0.15, 0.12, 0.03]))
 CAMERA = np.array([0.04, -0.03, 1.3])  # m, in the world
 SIGMAS = (2e-5, 2.5e-4)  # m, of a point across the line of sight and along it: six LEDs, f = 1400 px, 1.3 m
@@ -30,7 +31,7 @@ def free_form(x: Floats, y: Floats) -> Floats:
 
 def dented(x: Floats, y: Floats) -> Floats:
     """The mould: as drawn, but for a dent of 0.3 mm."""
-    return free_form(x, y) - 3e-4 * np.exp(-((x - 0.15) ** 2 + (y - 0.15) ** 2) / (2.0 * 0.02**2))
+    return free_form(x, y) - 3e-4 * np.exp(-((x - DENT[0]) ** 2 + (y - DENT[1]) ** 2) / (2.0 * 0.02**2))
 
 
 def drawing_of(shape: Shape, long: float = LONG, wide: float = WIDE, step: float = STEP) -> Heights:
@@ -82,6 +83,6 @@ def touches_on(
     none = np.full((n, 3), np.nan)
     return Contacts(
         tuple("abcdefgh"[:count]), ("tool",) * count, robots, np.arange(n) / 60.0, np.ones(n, np.int64), points,
-        covariances, axes / np.linalg.norm(axes, axis=1, keepdims=True), np.tile(2.5e-5 * np.eye(3), (n, 1, 1)), none,
-        none, np.zeros((n, 3, 0)),
+        covariances, axes / np.linalg.norm(axes, axis=1, keepdims=True), np.tile(2.5e-5 * np.eye(3), (n, 1, 1)),
+        np.tile(np.eye(3), (n, 1, 1)), none, none, np.zeros((n, 3, 0)),
     )  # fmt: skip
