@@ -4,8 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 from string import Template
 
-import numpy as np
-
 from asterism.protocol.geometry import Pose
 from asterism.protocol.heights_file import heights_text
 from asterism.protocol.rig import Rig
@@ -32,7 +30,7 @@ def files_with_surface(seed: int) -> dict[str, str | bytes]:
     surface = mould.true.surface
     assert surface is not None
     assert isinstance(surface.shape, Heights)
-    x, y, _ = surface.T_world_surface.map(np.array([*mould.dent, 0.0]))
+    x, y = mould.dent
     return {
         "README.md": Template(README.read_text(encoding="utf-8")).substitute(
             seed=seed, dent_x=f"{x:.2f}", dent_y=f"{y:.2f}"
