@@ -219,6 +219,30 @@ def decode_status(payload: bytes) -> "pb.Status":
     return _parse(pb.Status(), payload)
 
 
+def decode_coverage(payload: bytes) -> "pb.Coverage":
+    """Raises InputError for bytes that are none."""
+    coverage = _parse(pb.Coverage(), payload)
+    if not is_coverage(coverage):
+        raise InputError(f"{len(payload)} bytes that are no {coverage.DESCRIPTOR.full_name} of a server")
+    return coverage
+
+
+def is_coverage(coverage: "pb.Coverage") -> bool:
+    """Whether a server makes such a one."""
+    patches = coverage.columns * coverage.rows
+    return (
+        0.0 < coverage.pitch < math.inf
+        and 0 < coverage.exposed_ns < 1 << 63
+        and math.isfinite(coverage.x0)
+        and math.isfinite(coverage.y0)
+        and all(
+            len(column) == len(of.patch) and max(of.patch, default=0) < max(patches, 1)
+            for of in coverage.robots
+            for column in (of.dwell_s, of.passes, of.speed, of.direction, of.last_ns)
+        )
+    )
+
+
 def _parse(message: M, payload: bytes) -> M:
     try:
         message.ParseFromString(payload)

@@ -11,6 +11,7 @@ from asterism.protocol.geometry import Floats
 from asterism.protocol.surface import Heights
 
 COLUMNS = ("x", "y", "z", "sigma")
+BEGIN = ",".join(COLUMNS[:3])  # of every table
 WHAT = "the nodes of a grid, m: x,y,z or x,y,z,sigma"
 MOST_NODES = 512 * 512
 MOST_BYTES = 32 << 20
@@ -39,7 +40,7 @@ def parse_heights(text: str, name: str) -> Heights:
     shape = int(i.max()) + 1, int(j.max()) + 1
     if shape[0] * shape[1] > MOST_NODES:
         raise InputError(
-            f"{name}: its rows are on a grid of {shape[0]} x {shape[1]} nodes, {step_x:.3g} x {step_y:.3g} m apart, "
+            f"{name}: is on a grid of {shape[0]} x {shape[1]} nodes, {step_x:.3g} x {step_y:.3g} m apart, "
             f"expected at most {MOST_NODES} nodes"
         )
     _refuse_twice(i * shape[1] + j, lines, name)

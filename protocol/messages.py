@@ -41,6 +41,7 @@ TRANSFORMS = Kind("foxglove.FrameTransforms", on_wire=False)
 ANNOTATIONS = Kind("foxglove.ImageAnnotations", on_wire=False)
 CALIBRATION = Kind("foxglove.CameraCalibration", on_wire=False)
 IMAGE = Kind("foxglove.RawImage", on_wire=False)
+UNNUMBERED = frozenset({STATUS.schema, COVERAGE.schema})  # their numbers are not those of frames
 
 
 @dataclass(frozen=True, slots=True)

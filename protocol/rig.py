@@ -181,6 +181,7 @@ def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str, name
             raise section.error("surface", "needs the rig's `world`, the pose of the camera in the world")
         surface, texts = read_surface(section.section("surface"), named)
         files = {**files, **texts}
+    _refuse_standing(inner, robots, surface)
     return Rig(
         camera=camera,
         robots=robots,
@@ -198,6 +199,20 @@ def _rig(section: Section, camera: Camera, rig_text: str, camera_text: str, name
         robots_name=robots_name,
         files=files,
     )
+
+
+def _refuse_standing(inner: Section, robots: tuple[Robot, ...], surface: Surface | None) -> None:
+    for robot in robots:
+        if robot.stands is None:
+            continue
+        if surface is None:
+            raise inner.error(
+                f"{robot.id}.stands", "there is nothing to stand on, expected the rig's `surface` (or no `stands`)"
+            )
+        if robot.T_world_fixed is not None:
+            raise inner.error(
+                f"{robot.id}.stands", "it does not move (`fixed`), expected only one of both: what is fixed is known"
+            )
 
 
 def _robots_of(section: Section, named: Named) -> tuple[Section, str, dict[str, str]]:

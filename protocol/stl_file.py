@@ -62,7 +62,8 @@ def parse_triangles(data: bytes, name: str) -> Floats:
             raise InputError(f"{name}: is {what}, expected {WHAT}")
     told = int.from_bytes(data[80:_HEAD], "little") if len(data) >= _HEAD else -1
     if told >= 0 and len(data) == _HEAD + _EACH * told:
-        triangles = np.frombuffer(data, _TRIANGLE, offset=_HEAD)["corners"].astype(np.float64)
+        with np.errstate(invalid="ignore"):  # a signalling nan is told of below
+            triangles = np.frombuffer(data, _TRIANGLE, offset=_HEAD)["corners"].astype(np.float64)
     elif data[:512].lstrip()[:5].lower() == b"solid" and b"\0" not in data:
         triangles = _of_text(data.lower(), name)
     else:

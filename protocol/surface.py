@@ -260,3 +260,21 @@ def within(polygon: Floats, xy: Floats) -> NDArray[np.bool_]:
         with np.errstate(all="ignore"):
             inside ^= crossed & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
     return inside
+
+
+def crossing(polygon: Floats) -> tuple[int, int] | None:
+    """Two sides of a polygon (k, 2), by the corners they begin at, that cross or lie on one another; None: none do."""
+    ends = np.roll(polygon, -1, axis=0)
+
+    def left(a: Floats, b: Floats, c: Floats) -> Floats:
+        turned: Floats = (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1])
+        return turned - (b[..., 1] - a[..., 1]) * (c[..., 0] - a[..., 0])
+
+    for k in range(len(polygon)):
+        others = np.arange(k + 2, len(polygon) - (k == 0))  # not its neighbours
+        a, b, c, d = polygon[k], ends[k], polygon[others], ends[others]
+        apart = (np.maximum(a, b) < np.minimum(c, d)).any(axis=1) | (np.maximum(c, d) < np.minimum(a, b)).any(axis=1)
+        crossed = (left(a, b, c) * left(a, b, d) <= 0.0) & (left(c, d, a) * left(c, d, b) <= 0.0) & ~apart
+        if crossed.any():
+            return k, int(others[int(np.argmax(crossed))])
+    return None

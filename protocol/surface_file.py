@@ -28,8 +28,8 @@ from asterism.protocol import heights_file
 from asterism.protocol.geometry import Floats, Pose, frozen_array
 from asterism.protocol.heights_file import parse_heights
 from asterism.protocol.rig_files import Named
-from asterism.protocol.rig_hints import refuse_millimetres
-from asterism.protocol.surface import HEIGHTS, PLANE, QUADRIC, STL, TERMS, Heights, Quadric, Surface
+from asterism.protocol.rig_hints import STANDS_WORDS, SURFACE_WORDS, refuse_millimetres
+from asterism.protocol.surface import HEIGHTS, PLANE, QUADRIC, STL, TERMS, Heights, Quadric, Surface, crossing
 from asterism.protocol.yaml_file import Section
 
 KINDS = (PLANE, QUADRIC, HEIGHTS, STL)
@@ -63,7 +63,7 @@ def read_surface(section: Section, named: Named) -> tuple[Surface, dict[str, str
 
     Raises InputError with file, key, what was found and what is accepted.
     """
-    section.only(SURFACE_KEYS)
+    section.only(SURFACE_KEYS, SURFACE_WORDS)
     given = [kind for kind in KINDS if kind in section]
     if len(given) != 1:
         found = " and ".join(given) or "none"
@@ -92,7 +92,50 @@ def _surface(section: Section, shape: Quadric | Heights) -> Surface:
     )
     if "edge" in section and len(edge) < 3:
         raise section.error("edge", f"{len(edge)} corners, expected three or more")
-    return Surface(shape, frame, sigma, tilt, edge.reshape(-1, 2))
+    surface = Surface(shape, frame, sigma, tilt, edge.reshape(-1, 2))
+    _refuse_edge(section, surface)
+    return surface
+
+
+def _refuse_edge(section: Section, surface: Surface) -> None:
+    """Refuse an edge in mm, one that crosses itself, and one within which there is no surface."""
+    edge = surface.edge
+    if not len(edge):
+        if isinstance(surface.shape, Quadric) and not surface.ground(surface.shape.about[None, :2]).inside.any():
+            near = np.concatenate([_around(half) for half in (0.2, 1.0, 5.0)])
+            _refuse_unreal(section, surface, surface.shape.about[:2] + near)
+        return
+    refuse_millimetres(section, "edge", edge.ravel().tolist())
+    if (crossed := crossing(edge)) is not None:
+        raise section.error(
+            "edge",
+            f"its sides from corners {crossed[0] + 1} and {crossed[1] + 1} cross, expected corners in order around the "
+            "surface",
+        )
+    low, high = edge.min(axis=0), edge.max(axis=0)
+    _refuse_unreal(section, surface, 0.5 * (low + high) + _around(1.0) * (high - low) / 2.0)
+
+
+def _around(half: float) -> Floats:
+    places = np.linspace(-half, half, 66)[1:-1]
+    return np.stack(np.meshgrid(places, places, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def _refuse_unreal(section: Section, surface: Surface, places: Floats) -> None:
+    if surface.ground(places).inside.any():
+        return
+    shape = surface.shape
+    if isinstance(shape, Heights):
+        last = shape.origin + shape.step * (np.array(shape.values.shape) - 1)
+        raise section.error(
+            "edge",
+            f"there is nothing of the grid within it, whose nodes are at x {shape.origin[0]:.4g} to {last[0]:.4g} and "
+            f"y {shape.origin[1]:.4g} to {last[1]:.4g} m",
+        )
+    told = "expected a sum that is 0 on the surface and grows out of it, along z (are all signs the other way round?)"
+    if len(surface.edge):
+        raise section.error("edge", f"there is no surface within it, {told}")
+    raise section.error(None, f"there is no surface within 5 m of `about`, {told}")
 
 
 def _plane(section: Section) -> Quadric:
@@ -154,7 +197,7 @@ def read_stands(section: Section, points: Mapping[str, Floats], axis: Floats) ->
 
     Raises InputError with file, key, what was found and what is accepted.
     """
-    section.only(STANDS_KEYS)
+    section.only(STANDS_KEYS, STANDS_WORDS)
     point = section.text("point")
     if point not in points:
         has = ", ".join(points) or "none"
@@ -164,7 +207,7 @@ def read_stands(section: Section, points: Mapping[str, Floats], axis: Floats) ->
         raise section.error("sigma", f"{sigma:g}, expected a number above 0, m: how far the point may be off")
     if "axis" in section:
         axis = np.array(section.numbers("axis", 3, "what points along the surface's normal, in the robot's frame"))
-        if not axis.any():
+        if float(np.linalg.norm(axis)) == 0.0:
             raise section.error("axis", "[0, 0, 0] has no direction, expected a vector of any length above 0")
     tilt = _tilt(section) if "tilt_sigma_deg" in section else math.inf
     if tilt <= 0.0:

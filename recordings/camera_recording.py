@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol.errors import InputError
-from asterism.protocol.messages import PROTOCOL, STATUS
+from asterism.protocol.messages import PROTOCOL, UNNUMBERED
 from asterism.protocol.rig import Rig, parse_rig
 from asterism.recordings.from_network import Arrived
 from asterism.recordings.in_order import InOrder
@@ -122,7 +122,7 @@ class CameraRecording:
     def _counts_anew(self) -> bool:
         """Whether the frames of a new session are counted from the beginning: a replay that plays again."""
         new = (one.message for one in self._waiting if one.session not in self._sessions)
-        numbers = [message.sequence for message in new if message.kind is not STATUS]
+        numbers = [message.sequence for message in new if message.kind.schema not in UNNUMBERED]
         return bool(numbers) and numbers[0] <= self.missing.newest
 
     def _is_of_next(self, arrived: Arrived) -> bool:
@@ -154,7 +154,7 @@ class CameraRecording:
             self.missing.count(one)
         messages = [one.message for one in due]
         newest = max(messages, key=lambda message: message.sequence)
-        if self._next is not None and newest.kind is not STATUS and newest.sequence >= self._next[0]:
+        if self._next is not None and newest.kind.schema not in UNNUMBERED and newest.sequence >= self._next[0]:
             self.recorder.take_rig(self._next[1])
             self._next = None
         self.recorder.write(messages, None, newest.log_ns, newest.sequence)

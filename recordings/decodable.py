@@ -14,11 +14,12 @@ from google.protobuf.message import Message as Protobuf
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
-from asterism.protocol.codec import UNIT, decode_event, decode_frame_report, decode_odometry, is_event
+from asterism.protocol.codec import UNIT, decode_event, decode_frame_report, decode_odometry, is_coverage, is_event
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import (
     ANNOTATIONS,
     CALIBRATION,
+    COVERAGE,
     EVENT,
     FRAME_REPORT,
     IMAGE,
@@ -83,7 +84,7 @@ def read_event(payload: bytes, where: Path) -> "pb.Event":
 
 def channel_of(payload: bytes | memoryview, camera: str) -> tuple[str, Kind] | None:
     """The key and kind of a message whose channel is lost, told by what it holds; None where that fits nothing."""
-    for kind in (IMAGE, FRAME_REPORT, ODOMETRY, STATUS, EVENT, CALIBRATION, TRANSFORMS, ANNOTATIONS):
+    for kind in (IMAGE, FRAME_REPORT, ODOMETRY, STATUS, EVENT, COVERAGE, CALIBRATION, TRANSFORMS, ANNOTATIONS):
         make, is_sound = _KNOWN[kind.schema]
         message = make()
         try:
@@ -103,6 +104,7 @@ def _key(kind: Kind, message: Protobuf, camera: str) -> str:
         FRAME_REPORT.schema: keys.frame,
         STATUS.schema: keys.status,
         EVENT.schema: keys.event,
+        COVERAGE.schema: keys.coverage,
         CALIBRATION.schema: keys.calibration,
         ANNOTATIONS.schema: keys.annotations,
     }
@@ -193,6 +195,7 @@ _KNOWN: dict[str, tuple[Callable[[], Protobuf], Callable[..., bool]]] = {
     FRAME_REPORT.schema: (pb.FrameReport, _report),
     STATUS.schema: (pb.Status, _always),
     EVENT.schema: (pb.Event, is_event),
+    COVERAGE.schema: (pb.Coverage, is_coverage),
     CALIBRATION.schema: (CameraCalibration, _always),
     TRANSFORMS.schema: (FrameTransforms, _always),
     ANNOTATIONS.schema: (ImageAnnotations, _always),
@@ -204,6 +207,7 @@ _SURE: dict[str, Callable[..., bool]] = {
     FRAME_REPORT.schema: lambda report: report.exposed_ns > 0 and len(report.robots) > 0 and bool(report.frame_id),
     STATUS.schema: lambda status: status.time_ns > 0 and bool(status.source),
     EVENT.schema: lambda event: event.since_ns > 0,
+    COVERAGE.schema: lambda told: bool(told.since_ns and told.columns and told.rows and told.HasField("frame")),
     CALIBRATION.schema: lambda told: len(told.K) == 9 and len(told.P) == 12,
     TRANSFORMS.schema: lambda told: all(entry.parent_frame_id and entry.child_frame_id for entry in told.transforms),
     ANNOTATIONS.schema: lambda told: all(circle.HasField("position") for circle in told.circles),

@@ -1,18 +1,20 @@
 """What a server publishes, as it arrives over the network, back into the messages that it records itself.
 
-Times and numbers stand in the messages; only a status does not tell its own number.
+Times and numbers stand in the messages; only a status, and what tools covered, do not tell their own number.
 """
 
 from typing import NamedTuple
 
 from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
-from asterism.protocol.codec import decode_event, decode_frame_report, decode_odometry, decode_status
+from asterism.protocol.codec import decode_coverage, decode_event, decode_frame_report, decode_odometry, decode_status
 from asterism.protocol.errors import InputError
-from asterism.protocol.messages import EVENT, FRAME_REPORT, ODOMETRY, STATUS, Kind, Message
+from asterism.protocol.messages import COVERAGE, EVENT, FRAME_REPORT, ODOMETRY, STATUS, Kind, Message
 from asterism.recordings.decodable import is_decodable
 
-KINDS: dict[str, Kind] = {"odometry": ODOMETRY, "frame": FRAME_REPORT, "status": STATUS, "event": EVENT}
+KINDS: dict[str, Kind] = {
+    "odometry": ODOMETRY, "frame": FRAME_REPORT, "status": STATUS, "event": EVENT, "coverage": COVERAGE,
+}  # fmt: skip
 
 
 class Arrived(NamedTuple):
@@ -21,7 +23,7 @@ class Arrived(NamedTuple):
     camera: str
     session: int
     message: Message
-    told: "pb.FrameReport | pb.Event | pb.Status | None" = None
+    told: "pb.FrameReport | pb.Event | pb.Status | pb.Coverage | None" = None
 
     @property
     def robot(self) -> str:
@@ -31,7 +33,7 @@ class Arrived(NamedTuple):
 
 def expressions(prefix: str) -> list[str]:
     """What to subscribe to: all that servers publish but their beats."""
-    of_cameras = (keys.odometry("*", "*"), keys.frame("*"), keys.status("*"), keys.event("*"))
+    of_cameras = (keys.odometry("*", "*"), keys.frame("*"), keys.status("*"), keys.event("*"), keys.coverage("*"))
     return [prefix + expression for expression in of_cameras]
 
 
@@ -44,13 +46,16 @@ def arrived(key: str, payload: bytes) -> Arrived:
         pose = decode_odometry(payload)
         message = Message(key, kind, payload, pose.exposed_ns, pose.published_ns, pose.sequence)
         return Arrived(camera, pose.session, message)
-    told: pb.FrameReport | pb.Event | pb.Status
+    told: pb.FrameReport | pb.Event | pb.Status | pb.Coverage
     if kind is FRAME_REPORT:
         told = decode_frame_report(payload)
         times = (told.exposed_ns, told.published_ns, told.sequence)
     elif kind is EVENT:
         told = decode_event(payload)
         times = (told.since_ns, told.published_ns, told.sequence)
+    elif kind is COVERAGE:
+        told = decode_coverage(payload)
+        times = (told.exposed_ns, told.exposed_ns, 0)
     else:
         told = decode_status(payload)
         times = (told.time_ns, told.time_ns, 0)

@@ -50,7 +50,7 @@ class InOrder:
         number, told = arrived.message.sequence, arrived.told
         if isinstance(told, pb.Event):  # one that was held back tells of a frame that is over
             number = self._event = max(self._event, number)
-        if isinstance(told, pb.Status) or number <= self._written:
+        if isinstance(told, pb.Status | pb.Coverage) or number <= self._written:
             return [arrived]
         frame = self._frames.setdefault(number, _Frame(now_s))
         if arrived.message.kind is ODOMETRY:

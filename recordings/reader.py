@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from asterism.protocol.codec import decode_image
 from asterism.protocol.errors import InputError
-from asterism.protocol.messages import FRAME_REPORT, PROTOCOL, STATUS, Kind, Message
+from asterism.protocol.messages import FRAME_REPORT, PROTOCOL, UNNUMBERED, Kind, Message
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig
 from asterism.recordings.records import MAGIC, Damaged, read_metadata
@@ -79,6 +79,16 @@ class Recording:
                 rigs += [(first.sequence, rig_told(metadata, str(self.path))) for first in islice(reports, 1)]
         return rigs
 
+    def files(self) -> list[tuple[Path, Rig]]:
+        """The files of messages, each with the rig that was in force in it. Raises InputError like `rig`."""
+        found, told, rig = [], rig_files(self.metadata), self.rig()
+        for file in self._poses:
+            metadata = self._metadata_of(file) or {}
+            if RIG in metadata and rig_files(metadata) != told:
+                told, rig = rig_files(metadata), rig_told(metadata, str(self.path))
+            found.append((file, rig))
+        return found
+
     def messages(self) -> Iterator[Message]:
         """Everything but the images, as it was written."""
         return chain.from_iterable(self._messages(file) for file in self._poses)
@@ -88,8 +98,7 @@ class Recording:
         images = self._images()
         image = next(images, None)
         for message in self.messages():
-            # A status counts itself, everything else tells its frame's number.
-            while image is not None and message.kind.schema != STATUS.schema and image.sequence <= message.sequence:
+            while image is not None and message.kind.schema not in UNNUMBERED and image.sequence <= message.sequence:
                 yield image
                 image = next(images, None)
             yield message

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from asterism.protocol.rig import ESTIMATORS
-from asterism.server.chain.kernel_list import BLOBS, CHECK, DESIGN, FUSE, LOCALIZE, SIMULATE
+from asterism.server.chain.kernel_list import BLOBS, CHECK, COVERAGE, DESIGN, FUSE, LOCALIZE, SIMULATE
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.service.telling import telling
 
 
 def _compile(config: pytest.Config) -> None:
     with config.pluginmanager.getplugin("capturemanager").global_and_fixture_disabled(), telling():
-        warm_up(BLOBS, *ESTIMATORS, LOCALIZE, SIMULATE, CHECK, DESIGN, FUSE)
+        warm_up(BLOBS, *ESTIMATORS, LOCALIZE, SIMULATE, CHECK, DESIGN, FUSE, COVERAGE)
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:

@@ -22,10 +22,10 @@ from asterism.protocol.rig import parse_rig
 from asterism.protocol.yaml_file import parse_yaml
 from asterism.server.budget.uncertainty import KEYS, read_uncertainty
 from asterism.server.command.parser import COMMANDS, parser
-from asterism.server.simulation.demo_rig import DEMO_RIG
+from asterism.server.simulation.demo_rig import DEMO_RIG, DEMO_WORKPIECE
 from tests.documents import Block, blocks, pages
 from tests.helpers import REPOSITORY
-from tests.servers import asterism, free_endpoint, running
+from tests.servers import asterism, free_endpoint, running, wait_for_line
 
 CAMERA = (DEMO_RIG.parent / "camera.yaml").read_text()
 ENDPOINT = "tcp/127.0.0.1:7447"
@@ -160,7 +160,25 @@ def test_their_zenoh_options_are_zenoh_options() -> None:
 
 
 def python_blocks(with_client: bool) -> list[Block]:
-    return [block for block in blocks("python") if ("PoseClient" in block.text) == with_client]
+    others = [block for block in blocks("python") if "Coverage" not in block.text]
+    return [block for block in others if ("PoseClient" in block.text) == with_client]
+
+
+def test_what_robots_left_to_do_is_heard() -> None:
+    """On the demonstration's own surface."""
+    (block,) = [block for block in blocks("python") if "Coverage" in block.text]
+    endpoint = free_endpoint()
+    code = block.text.replace(ENDPOINT, endpoint)
+    with running("serve", DEMO_WORKPIECE, "sim", "--listen", endpoint) as server:
+        wait_for_line(server, "serving")
+        with subprocess.Popen([sys.executable, "-u", "-c", code], stdout=subprocess.PIPE, text=True) as client:
+            assert client.stdout is not None
+            line = client.stdout.readline()
+            client.kill()
+    told = re.match(r"(\w+): (\d+) patches changed, at x (\S+), y (\S+) m ([\d.]+) s so far", line)
+    assert told is not None, line
+    assert abs(float(told[3])) < 0.55
+    assert abs(float(told[4])) < 0.45
 
 
 @pytest.fixture(scope="module")

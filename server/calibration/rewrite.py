@@ -13,6 +13,8 @@ import numpy as np
 
 from asterism.protocol.errors import InputError
 
+SURFACES = (("surface", "heights"), ("surface", "stl"))  # that are in a file
+
 Value = str | float | Sequence["Value"] | Mapping[str, "Value"]
 
 
@@ -60,11 +62,11 @@ def annotate(text: str, path: tuple[str, ...], tag: str, comments: Sequence[str]
 
 def relocate(text: str, old: Path, new: Path) -> str:
     """The rig's ``text``, written at ``old``, for the place ``new``: relative paths (`camera`, `robots` of a file,
-    every robot's `led.offset`) lead to the same files.
+    the `surface`'s, every robot's `led.offset`) lead to the same files.
     """
     root = _compose(text)
     offsets = [("robots", robot, "led", "offset") for robot in _keys(root, ("robots",))]
-    return _relocated(text, old, new, [("camera",), ("robots",), *offsets])
+    return _relocated(text, old, new, [("camera",), ("robots",), *SURFACES, *offsets])
 
 
 def relocate_robots(text: str, old: Path, new: Path) -> str:

@@ -17,7 +17,7 @@ from asterism.server.identity.rays import Rays
 from asterism.server.pose.choose import Choices
 from asterism.server.pose.fit import LEDS
 from asterism.server.pose.solve import Alternative, Lost, PoseEstimate, Solutions
-from asterism.server.pose.standing import ON_SURFACE, Stood
+from asterism.server.pose.stood import ON_SURFACE, Stood
 
 ALL_LEDS = tuple(range(LEDS))
 NO_POSE = "no pose that faces the camera explains its spots"
@@ -128,23 +128,28 @@ def _estimate(
 
 def _stand(plan: Plan, robots: list[int], stood: Stood, answers: dict[int, PoseEstimate | Lost]) -> None:
     """Put in place of light's answers those with the surface, where it was used; say of the others why it was not."""
-    for row, robot in enumerate(robots):
+    for row, (robot, standing, odds) in enumerate(
+        zip(robots, stood.standing.tolist(), stood.odds.tolist(), strict=True)
+    ):
         alone = answers[robot]
-        if not isinstance(alone, PoseEstimate) or not stood.standing[row]:
+        if not isinstance(alone, PoseEstimate) or not standing:
             continue
         told = told_of(plan, robot, row, stood, (alone.pose, alone.covariance, alone.alternative))
-        if stood.standing[row] != ON_SURFACE:
+        if standing != ON_SURFACE:
             answers[robot] = replace(alone, surface=told)
             continue
-        odds, positions, quaternions = float(stood.odds[row]), stood.positions[row], stood.quaternions[row]
-        residuals = stood.residuals[row, list(alone.leds)]
+        positions, quaternions, residuals = stood.positions[row], stood.quaternions[row], stood.residuals[row]
+        # Of LEDs that are not seen they are 0.
+        square = float(np.vdot(residuals, residuals))
+        if len(alone.leds) < LEDS:
+            residuals = residuals[list(alone.leds)]
         answers[robot] = replace(
             alone,
             position=positions[0],
             orientation=quaternions[0],
             covariance=stood.covariances[row],
             residuals_px=residuals,
-            rms_px=math.sqrt(float((residuals**2).sum()) / len(residuals)),
+            rms_px=math.sqrt(square / len(residuals)),
             alternative=Alternative(positions[1], quaternions[1], odds) if odds < SURE else None,
             surface=told,
         )

@@ -20,7 +20,9 @@ FILE = Path(__file__).with_name("kernels.json")
 PACKAGE = "asterism.server."
 
 # What kernels are needed for, beside the names of the estimators.
-BLOBS, LOCALIZE, SIMULATE, CHECK, DESIGN, FUSE = "blobs", "localize", "simulate", "check", "design", "fuse"
+BLOBS, LOCALIZE, SIMULATE, CHECK, DESIGN, FUSE, COVERAGE = (
+    "blobs", "localize", "simulate", "check", "design", "fuse", "coverage",
+)  # fmt: skip
 
 
 class Entry(NamedTuple):

@@ -12,7 +12,7 @@ from numba.np import linalg
 
 from asterism.protocol.rig import ESTIMATORS, Rig
 from asterism.server.chain.compile_beside import compile_beside, cores, divide
-from asterism.server.chain.kernel_list import BLOBS, LOCALIZE, SIMULATE, Entry, kernel_list
+from asterism.server.chain.kernel_list import BLOBS, COVERAGE, LOCALIZE, SIMULATE, Entry, kernel_list
 from asterism.server.kernel_folder import alone, open_folder
 
 _SAID = logging.getLogger("asterism.said")  # what the command line tells a person
@@ -21,8 +21,9 @@ FINDING = BLOBS, ESTIMATORS[0]  # what finding the spots of a calibration target
 
 
 def localizing(rig: Rig, source: str = "") -> tuple[str, ...]:
-    """What `localize` needs for a rig, and what the named source of frames needs, if it is `sim`."""
-    return BLOBS, rig.centre, LOCALIZE, *((SIMULATE,) if source == "sim" else ())
+    """What `localize` needs for a rig, the named source of frames, if it is `sim`, and who tells where tools were."""
+    works = rig.surface is not None and any(robot.stands is not None for robot in rig.robots)
+    return BLOBS, rig.centre, LOCALIZE, *((SIMULATE,) if source == "sim" else ()), *((COVERAGE,) if works else ())
 
 
 def warm_up(*needs: str) -> None:

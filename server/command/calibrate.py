@@ -18,6 +18,7 @@ SUBCOMMANDS = {
     "cameras": "where several cameras stand in one world, from robots that two or more of them see",
     "offset": "how far LEDs seem to move with the angle they are seen at",
     "point": "a point of a robot, such as its tool's tip, by pivoting the robot about it",
+    "surface": "the surface that robots drive on, from their poses",
     "z": "physical refit of the rig, then the super-plane for Z, from surveyed poses",
 }
 

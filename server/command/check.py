@@ -10,6 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from asterism.protocol.rig import load_rig
+from asterism.protocol.surface_sight import sight_of, sight_sentence, surface_warnings
 from asterism.server.chain.kernel_list import CHECK
 from asterism.server.chain.warm_up import warm_up
 from asterism.server.command.progress import working
@@ -57,7 +58,9 @@ def run(options: argparse.Namespace) -> int:
         console.print(f"\n[bold]{title}[/bold]", highlight=False)
         console.print(table)
     console.print()
-    for sentence in found.verdict():
+    sight = sight_of(rig)
+    surface = [f"surface: {text}" for text in ([sight_sentence(sight)] if sight else []) + surface_warnings(rig)]
+    for sentence in (*found.verdict(), *surface):
         console.print(f"[bold]verdict[/bold] {escape(sentence)}", highlight=False, soft_wrap=True)
     return 0
 

@@ -3,6 +3,7 @@
 import argparse
 import shlex
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from string import Template
@@ -13,13 +14,19 @@ from asterism.protocol.program import NAME, program
 from asterism.protocol.rig import Robot
 from asterism.server.calibration.lens.camera_file import camera_text
 from asterism.server.command.example_cameras import FEWEST, MOST, files_of_several
+from asterism.server.command.example_surface import files_with_surface
 from asterism.server.command.example_texts import range_line, robot_lines, row
 from asterism.server.command.number_arguments import whole
 from asterism.server.command.shared_arguments import add_force, named
 from asterism.server.output import new_folder
 from asterism.server.simulation.measured_rig import BOARD, TOOL, TRUTH_MARK, MeasuredRig, draw_rig
 
-EXAMPLES = "asterism example try\nasterism example try2 --seed 2\nasterism example hall --cameras 3\n"
+EXAMPLES = (
+    "asterism example try\n"
+    "asterism example try2 --seed 2\n"
+    "asterism example hall --cameras 3\n"
+    "asterism example mould --surface\n"
+)
 
 README = Path(__file__).parent.parent / "simulation" / "example" / "README.md"
 
@@ -30,26 +37,31 @@ def add_arguments(part: argparse.ArgumentParser) -> None:
     part.add_argument(
         "--seed", metavar="N", type=whole, default=0, help="another lens, robot, ruler's errors (default: 0)"
     )
-    part.add_argument(
+    kind = part.add_mutually_exclusive_group()
+    kind.add_argument(
         "--cameras",
         metavar="N",
         type=whole,
         help=f"several cameras about one floor, {FEWEST} to {MOST}, whose places are to be calibrated",
     )
+    kind.add_argument("--surface", action="store_true", help="robots that polish a mould, whose surface is to be found")
     add_force(part)
 
 
 def run(options: argparse.Namespace) -> int:
     """Write DIR's files, say how to go on."""
     out: Path = options.out
-    if options.cameras is None:
+    files: Mapping[str, str | bytes]
+    if options.surface:
+        files, what = files_with_surface(options.seed), "a rig, a mould as it is and as it was drawn"
+    elif options.cameras is None:
         files, what = files_of(draw_rig(options.seed), options.seed), "a rig as it is and as you would measure it"
     else:
         files = files_of_several(options.cameras, options.seed)
         what = f"{options.cameras} cameras' rigs as they are and as you would measure them"
     with new_folder(out, options.force) as made:
         for name, text in files.items():
-            (made.path / name).write_text(text, encoding="utf-8")
+            (made.path / name).write_bytes(text if isinstance(text, bytes) else text.encode())
     print(f"written: README.md, {what}, in {out}{made.note}")
     if program() != NAME:
         # README.md says `asterism`, and a relative path would not lead there from inside the folder.

@@ -1,5 +1,7 @@
 """How `asterism example` writes rigs, as a person would."""
 
+import math
+
 import numpy as np
 
 from asterism.protocol.geometry import Floats, Pose
@@ -34,6 +36,11 @@ def robot_lines(robot: Robot, digits: int, remark: str) -> list[str]:
         lines.append(
             f"    fixed: {{position: {row(place.position, digits)}, orientation: {row(place.orientation, 1)}}}"
         )
+    if (stands := robot.stands) is not None:
+        told = (
+            f"point: {stands.point}, sigma: {stands.sigma_m:g}, tilt_sigma_deg: {math.degrees(stands.tilt_sigma_rad):g}"
+        )
+        lines.append(f"    stands: {{{told}, radius: {stands.radius_m:g}}}")
     return lines
 
 

@@ -25,6 +25,7 @@ COMMANDS = {
     "review": "look at a recording in the rerun viewer",
     "compare": "differences of two recordings, per robot and field",
     "export": "poses as CSV, TUM, Parquet or a ROS 2 bag, for other programs; surveys from spreadsheets",
+    "coverage": "where robots' tools have been on the surface: how long, how often, how fast, when",
     "recover": "make a recording that was cut off readable again",
     "example": "a folder to try everything in without hardware, with a README.md to follow",
     "simulate": "frames of simulated robots, with truth",

@@ -10,7 +10,7 @@ from asterism.protocol import asterism_pb2 as pb
 from asterism.protocol import keys
 from asterism.protocol.codec import decode_frame_report, encode_rig, in_session
 from asterism.protocol.errors import InputError
-from asterism.protocol.messages import FRAME_REPORT, STATUS, Message
+from asterism.protocol.messages import FRAME_REPORT, UNNUMBERED, Message
 from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig, load_rig
 from asterism.recordings.reader import Recording
@@ -88,7 +88,7 @@ def _answering(recording: Recording, publisher: Publisher) -> Iterator[Message]:
     """Its messages; the publisher answers with the rig that was in force at each."""
     rigs = deque(recording.rigs())
     for message in recording.messages():
-        while rigs and message.kind.schema != STATUS.schema and message.sequence >= rigs[0][0]:
+        while rigs and message.kind.schema not in UNNUMBERED and message.sequence >= rigs[0][0]:
             publisher.rig_payload = encode_rig(rigs.popleft()[1])
         yield message
 

@@ -31,7 +31,7 @@ EXAMPLES = (
     "asterism simulate rig.yaml polished --raster --frames 600 --rate 10\n"
 )
 
-LANE_RADII = 1.5  # from lane to lane: what a tool goes over, its neighbour lane goes over a quarter of again
+LANE_RADII = 1.0  # from lane to lane: half of what a tool goes over, its next lane goes over again
 
 
 def add_arguments(part: argparse.ArgumentParser) -> None:

@@ -93,7 +93,7 @@ def _regions(covered: CoverageMap, whole: Visits, marked: Bools, limit_s: float,
     new = np.zeros(count + 1, np.int64)
     new[kept + 1] = np.arange(1, len(kept) + 1)
     numbers = new[labels]
-    boxes = ndimage.find_objects(numbers, len(kept))
+    boxes = ndimage.find_objects(numbers, len(kept)) if len(kept) else []
     found = tuple(_region(covered, whole, numbers, number, box) for number, box in enumerate(boxes, 1))
     specks = np.delete(sizes, kept)
     return Regions(limit_s, least_m2, found, numbers, len(specks), float(specks.sum()))

@@ -12,6 +12,7 @@ from asterism.server.doctor.gather import Gathered
 from asterism.server.doctor.place import check_place, judge_place
 from asterism.server.doctor.robots import check_robots
 from asterism.server.doctor.shutter import check_shutter
+from asterism.server.doctor.surface import check_surface
 from asterism.server.doctor.timing import check_jitter, check_lost, check_rate, stamps_of
 
 
@@ -33,6 +34,7 @@ def examine(gathered: Gathered, rig_name: str, camera_file: Path, now_s: float) 
         check_positions(gathered, rig_name),
         check_calibration(gathered, camera_file, now_s, place),
         check_place(gathered, place),
+        *check_surface(gathered),
         check_rate(gathered, stamps),
         check_lost(gathered, stamps),
         check_jitter(gathered, stamps),

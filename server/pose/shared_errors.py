@@ -10,7 +10,7 @@ import numpy as np
 
 from asterism.protocol.led_offset import MOST_DOUBTS, MOST_KNOTS
 from asterism.server.compiled import compiled
-from asterism.server.pose.planar import cholesky_solve, normal_equations, pose_cost
+from asterism.server.pose.planar import HUBER2, cholesky_solve, normal_equations, pose_cost
 from asterism.server.pose.rotations import mapped
 from asterism.server.pose.spot_shift import AXIS, DOUBT, DOUBTS, along_axis
 
@@ -102,6 +102,11 @@ def _take_spots(rotation, t, lit, optics, shared, a, b):
         u, v = _derivatives(rotation, t, lit.points[k], by_pose)
         xx, xy, yy = lit.information[k, 0], lit.information[k, 1], lit.information[k, 2]
         e, f = lit.seen[k, 0] - u, lit.seen[k, 1] - v
+        # The robust loss trusts an outlier less; else more would be explained than it costs.
+        m2 = xx * e * e + 2.0 * xy * e * f + yy * f * f
+        if m2 > HUBER2:
+            trust = math.sqrt(HUBER2 / m2)
+            xx, xy, yy = trust * xx, trust * xy, trust * yy
         for p in range(count):
             x, y = shared.moves[k, 0, p], shared.moves[k, 1, p]
             wx, wy = xx * x + xy * y, xy * x + yy * y

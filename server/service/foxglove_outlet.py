@@ -16,6 +16,7 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.messages import (
     ANNOTATIONS,
     CALIBRATION,
+    COVERAGE,
     EVENT,
     FRAME_REPORT,
     ODOMETRY,
@@ -135,6 +136,7 @@ def _channels(rig: Rig) -> dict[str, Kind]:
         keys.frame(camera): FRAME_REPORT,
         keys.status(camera): STATUS,
         keys.event(camera): EVENT,
+        keys.coverage(camera): COVERAGE,
         keys.TRANSFORMS: TRANSFORMS,
         keys.calibration(camera): CALIBRATION,
         keys.annotations(camera): ANNOTATIONS,

@@ -25,8 +25,9 @@ def complain(text: str) -> None:
 
 
 def say_warnings(rig: "Rig") -> None:
-    """What a rig's constellations leave open."""
+    """What a rig's constellations leave open, and what is odd of its surface."""
     from asterism.protocol.rig import hidden_led_warnings  # numpy would slow --help down
+    from asterism.protocol.surface_sight import surface_warnings
 
-    for warning in hidden_led_warnings(rig):
+    for warning in (*hidden_led_warnings(rig), *surface_warnings(rig)):
         say(f"warning: {warning}")

@@ -32,10 +32,11 @@ class Work:
 
 
 class Lanes:
-    """Lanes over a part of ``size`` (x, y) m, along its longer side, evenly ``apart_m`` apart or less, the outer ones
-    half of that from its border. They are driven forth and back at SPEED, first from the corner of least x and y.
+    """Lanes over a part of ``size`` (x, y) m, along its longer side, evenly ``apart_m`` or less apart.
 
-    All robots are at the same place of their parts: so parts touch without robots that do.
+    The outer ones are half of that from its border, their ends an eighth. They are driven forth and back at SPEED,
+    first from the corner of least x and y. All robots are at the same place of their parts: so parts touch without
+    robots that do.
     """
 
     def __init__(self, size: tuple[float, float], apart_m: float) -> None:
@@ -43,7 +44,7 @@ class Lanes:
         self._across = min(size)
         self.count = max(1, math.ceil(self._across / apart_m))
         self.apart = self._across / self.count
-        self._length = max(max(size) - self.apart, 0.0)
+        self._length = max(max(size) - 0.25 * self.apart, 0.0)
 
     @property
     def once_s(self) -> float:

@@ -243,7 +243,12 @@ def test_what_the_processes_leave_undone_is_done_here(terminal: io.StringIO, mon
 
 
 NEEDY = ["demo", "doctor", "serve", "fuse_live", "fuse_recordings", "locate", "batch", "replay", "simulate", "check"]
-NEEDY += ["design", "report", *(f"calibrate_{kind}" for kind in ("camera", "world", "leds", "offset", "point", "z"))]
+NEEDY += [
+    "coverage",
+    "design",
+    "report",
+    *(f"calibrate_{kind}" for kind in ("camera", "world", "leds", "offset", "point", "z")),
+]
 
 
 @pytest.mark.parametrize("command", NEEDY)

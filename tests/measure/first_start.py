@@ -30,6 +30,7 @@ from asterism.server.centres.centre import REFINERS
 from asterism.server.chain.kernel_list import (
     BLOBS,
     CHECK,
+    COVERAGE,
     DESIGN,
     FILE,
     FUSE,
@@ -129,6 +130,25 @@ def fuse() -> None:
                 _, joint = join(together, fleet, joint)
 
 
+def coverage() -> None:
+    """Where tools were, out of a recording's bytes."""
+    from asterism.server.coverage.accumulate import Coverage
+    from asterism.server.coverage.report_bytes import records_of
+    from asterism.server.coverage.told import by_robot, told_in
+    from asterism.server.coverage.working import working
+    from tests.coverage.driven import START_NS, STEP_NS, message_of, report_of, working_rig
+
+    rig, rng = working_rig(), np.random.default_rng(0)
+    works = working(rig)
+    assert works is not None
+    pose = {"r00": Pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))}
+    reports = [message_of(rig, report_of(rig, k, START_NS + k * STEP_NS, pose, rng)).payload for k in range(2)]
+    data, first = np.array(np.frombuffer(b"".join(reports), np.uint8)), len(reports[0])
+    records_of(data)
+    columns = told_in(data, np.array([[0, first], [first, len(data)]]), works.looked, Path("made here"))
+    Coverage.none(works.surface, works.tools, 0.01, 10_000).add(by_robot(columns, works.looked), 1 / 60)
+
+
 def called() -> set[tuple[str, str]]:
     """Every kernel that Python has called in this process, by module and name, with the types, as JSON."""
     found = set()
@@ -146,6 +166,7 @@ SCENARIOS: dict[str, Callable[[], None]] = {
     CHECK: check,
     DESIGN: design,
     FUSE: fuse,
+    COVERAGE: coverage,
     **{estimator: (lambda estimator=estimator: chain(estimator)) for estimator in ESTIMATORS},  # type: ignore[misc]
 }
 REFINING = {f"centres.centre.{kernel.py_func.__name__}": name for name, kernel in REFINERS.items()}

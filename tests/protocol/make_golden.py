@@ -173,6 +173,21 @@ def event() -> "pb.Event":
     )  # fmt: skip
 
 
+def coverage() -> "pb.Coverage":
+    """What changed of two patches in a second, of one robot."""
+    message = pb.Coverage(
+        session=SESSION, since_ns=EXPOSED_NS - 60_000_000_000, exposed_ns=EXPOSED_NS, x0=-0.125, y0=-0.25,
+        pitch=0.0025, columns=100, rows=200,
+    )  # fmt: skip
+    message.frame.position.z, message.frame.orientation.w = 0.5, 1.0
+    message.robots.add(
+        robot="alpha", patch=[512, 513], dwell_s=[0.5, 0.25], passes=[2, 1], speed=[0.0625, 0.125],
+        direction=[0.5, -1.5], last_ns=[EXPOSED_NS, EXPOSED_NS - 16_666_667], left_out={"lifted": 3, "gap": 1},
+        radius=0.01, counted=3600, counted_s=59.5,
+    )  # fmt: skip
+    return message
+
+
 def rig_report() -> "pb.RigReport":
     """A reply: the rig, and who answers."""
     message = decode_rig(encode_rig(RIG))
@@ -198,6 +213,7 @@ def golden() -> dict[str, tuple[bytes, type[Message]]]:
         "frame_report_smoothed": (to_bytes(smoothed_report()), pb.FrameReport),
         "status": (to_bytes(status()), pb.Status),
         "event": (to_bytes(event()), pb.Event),
+        "coverage": (to_bytes(coverage()), pb.Coverage),
         "beat": (to_bytes(beat()), pb.Beat),
         "rig_report": (to_bytes(rig_report()), pb.RigReport),
         "transforms": (encode_transforms(EXPOSED_NS, transforms), FrameTransforms),

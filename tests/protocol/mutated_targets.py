@@ -21,7 +21,7 @@ from asterism.server.calibration.survey.survey import read_survey
 from asterism.server.calibration.survey.survey_csv import read_survey_csv
 from asterism.server.sources.images import UnreadableImage, read_pages, to_grey8
 from tests.fusing import mutated_reports
-from tests.protocol import make_golden, mutated_clients, mutated_sources
+from tests.protocol import make_golden, mutated_clients, mutated_sources, mutated_surfaces
 from tests.protocol.bounds import TooMuch, bounded
 from tests.protocol.message_mutations import mutated_message
 from tests.protocol.mutations import mutated_bytes, mutated_yaml
@@ -177,6 +177,9 @@ _TIFFS = (_encoded(".tiff", "uint16"), _encoded(".tiff", channels=3), _stack())
 _REPORTS = (to_bytes(make_golden.frame_report()), to_bytes(make_golden.smoothed_report()))
 TARGETS = {
     "rig": Target(_rig, (RIG, CORRECTED), mutated_yaml, 400, 12),
+    "surface": Target(mutated_surfaces.rig, mutated_surfaces.RIGS, mutated_yaml, 300, 12),
+    "heights": Target(mutated_surfaces.heights, mutated_surfaces.TABLES, mutated_table, 300, 20),
+    "stl": Target(mutated_surfaces.stl, mutated_surfaces.files(), mutated_surfaces.mutated_stl, 150, 10),
     "camera": Target(_camera, (CAMERA, FISHEYE), mutated_yaml, 400, 12),
     "led_offset": Target(lambda text: parse_offset(text, "fuzz"), (OFFSET,), mutated_yaml, 400, 10),
     "survey": Target(_in_a_file(lambda path: read_survey(path, ["alpha"]), ".jsonl"), (SURVEY,), mutated_yaml, 500, 6),

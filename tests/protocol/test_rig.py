@@ -8,6 +8,7 @@ import pytest
 from asterism.protocol import rig, rig_hints
 from asterism.protocol.errors import InputError
 from asterism.protocol.rig import hidden_led_warnings, load_rig
+from asterism.protocol.surface_file import STANDS_KEYS, SURFACE_KEYS
 from asterism.server.simulation.demo_rig import DEMO_RIG
 from tests.helpers import shared
 from tests.protocol.test_camera import TEXT as CAMERA
@@ -242,9 +243,11 @@ def test_every_word_stands_for_a_key_that_is_accepted() -> None:
         "RIG_WORDS": {*rig.RIG_KEYS, *(f"capture.{key}" for key in CAPTURE_KEYS)},
         "CAPTURE_WORDS": set(CAPTURE_KEYS),
         "WORLD_WORDS": {"position", "orientation"},
-        "ROBOT_WORDS": {"leds", "points", "normal", "led.radius", "led.axis", "led.offset"},
+        "ROBOT_WORDS": {"leds", "points", "normal", "led.radius", "led.axis", "led.offset", "stands"},
         "LED_WORDS": {"radius", "axis"},
         "NORMAL_WORDS": {"world", "within_deg"},
+        "SURFACE_WORDS": {*SURFACE_KEYS, "frame.position", "frame.orientation"},
+        "STANDS_WORDS": set(STANDS_KEYS),
     }
     for name, keys in accepted.items():
         words = getattr(rig_hints, name)

@@ -23,9 +23,9 @@ def calibrate_surface(contacts: Contacts, axes: list[Floats], source: str) -> Su
     Raises InputError for a drive that does not tell one; ``source`` is what sentences call it.
     """
     check_touches(source, contacts)
+    check_places(source, contacts.points)
     frame, contacts = frame_of(contacts), likelier(contacts)
     touches = Touches.of(contacts, frame)
-    check_places(source, touches.xy)
     free, stiff = smooth(touches)
     told = free.variances / free.noise.factors[touches.robots]
     check_common(source, stiff.residuals.ravel(), told, int(free.used.sum()), len(touches))

@@ -24,11 +24,10 @@ def check_touches(source: str, contacts: Contacts) -> None:
         )
 
 
-def check_places(source: str, xy: Floats) -> None:
-    """Raise InputError where touches (n, 2) m lie in too few patches, or along one line."""
-    middle = xy - xy.mean(axis=0)
-    narrow, long = np.sqrt(np.maximum(np.linalg.eigvalsh(middle.T @ middle / len(xy)), 0.0))
-    patches = len(np.unique(np.floor(xy / PATCH_M), axis=0))
+def check_places(source: str, points: Floats) -> None:
+    """Raise InputError where touches (n, 3) m lie in too few patches, or along one line."""
+    narrow, long = _across(points)
+    patches = len(np.unique(np.floor(points / PATCH_M), axis=0))
     if narrow < NARROWEST_M and long > 4.0 * narrow:
         raise InputError(
             f"{source}: robots drove along one line only ({2e3 * narrow:.1f} mm across it, {2e3 * long:.0f} mm along "
@@ -39,6 +38,18 @@ def check_places(source: str, xy: Floats) -> None:
             f"{source}: robots were in {patches} patches of {1e3 * PATCH_M:.0f} x {1e3 * PATCH_M:.0f} mm, expected "
             f"{FEWEST_PATCHES} at least; drive all over the surface"
         )
+
+
+def _across(points: Floats) -> tuple[float, float]:
+    """One sigma, m, of points (n, 3) across the line that they lie along, which may bend, and along it."""
+    away = points - points.mean(axis=0)
+    values, axes = np.linalg.eigh(away.T @ away / len(points))
+    long = float(np.sqrt(values[2]))
+    along = away @ axes[:, 2] / max(long, 1e-9)
+    bend = np.stack([np.ones_like(along), along, along**2], axis=-1)
+    aside = away @ axes[:, :2]
+    aside = aside - bend @ np.linalg.lstsq(bend, aside, rcond=None)[0]
+    return float(np.linalg.norm(aside, 2) / np.sqrt(len(points))), long
 
 
 def check_common(source: str, residuals: Floats, variances: Floats, used: int, touches: int) -> None:

@@ -106,21 +106,31 @@ def _cross(v: Floats) -> Floats:
 
 def _pose_by_leds(rig: Rig, robot: Robot, rotations: Floats, ts: Floats, led_shapes: Floats) -> Floats:
     """How poses T_world_robot change (n, 6, k), m and rad about the world's axes, for one sigma of what LEDs may be
-    off: they go where the spots go, by least squares.
+    off.
     """
     assert rig.T_world_camera is not None
+    by_spots, by_point = pose_by_spots(rig, robot, rotations, ts)
     turn = rig.T_world_camera.rotation.T  # world to camera
+    shapes = led_shapes.reshape(LEDS, 3, -1)
+    moved = np.einsum("nlpi,ia,nab,lbk->nlpk", by_point, turn, rotations, shapes, optimize=True)
+    change: Floats = by_spots @ moved.reshape(len(ts), NUMBERS, -1)
+    return change
+
+
+def pose_by_spots(rig: Rig, robot: Robot, rotations: Floats, ts: Floats) -> tuple[Floats, Floats]:
+    """How poses T_world_robot change (n, 6, 12), m and rad about the world's axes, with the spots, px: by least
+    squares; and how spots move (n, 6, 2, 3), px/m, with LEDs along the camera's axes.
+    """
+    assert rig.T_world_camera is not None
+    turn = rig.T_world_camera.rotation.T
     arms = np.einsum("ij,njk,lk->nli", turn, rotations, robot.leds)
     points = arms + ((ts - rig.T_world_camera.position) @ turn.T)[:, None]
     steps = STEP * np.eye(3)[:, None, None]
     by_point = (rig.camera.project(points + steps) - rig.camera.project(points - steps)) / (2.0 * STEP)
-    by_point = np.moveaxis(by_point, 0, -1)  # (n, 6, 2, 3)
+    by_point = np.moveaxis(by_point, 0, -1)
     by_turn = by_point @ -_cross(arms.reshape(-1, 3)).reshape(*arms.shape, 3)
     by_pose = np.concatenate([by_point, by_turn], axis=-1).reshape(len(ts), NUMBERS, 6)
-    shapes = led_shapes.reshape(LEDS, 3, -1)
-    moved = np.einsum("nlpi,ia,nab,lbk->nlpk", by_point, turn, rotations, shapes, optimize=True)
-    moved = moved.reshape(len(ts), NUMBERS, -1)
     information = np.swapaxes(by_pose, 1, 2) @ by_pose / SPOT_PX**2
     information[:, [3, 4, 5], [3, 4, 5]] += 1.0 / MOST_TILT**2
-    change = np.linalg.solve(information, np.swapaxes(by_pose, 1, 2) @ moved / SPOT_PX**2)
-    return np.asarray(np.kron(np.eye(2), turn.T) @ change, np.float64)
+    change = np.linalg.solve(information, np.swapaxes(by_pose, 1, 2) / SPOT_PX**2)
+    return np.asarray(np.kron(np.eye(2), turn.T) @ change, np.float64), by_point

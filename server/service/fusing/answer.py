@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from asterism.protocol import asterism_pb2 as pb
+from asterism.protocol import heights_file
 from asterism.protocol.errors import InputError
 from asterism.protocol.messages import PROTOCOL
 from asterism.protocol.rig import parse_rig
@@ -13,6 +14,7 @@ from asterism.server.fusing.fitting import view_of
 from asterism.server.fusing.fleet import View
 
 MOST_TEXT = 256 << 10  # of a rig of a hundred robots it is a third; a YAML reader takes ten seconds for it
+MOST_TABLE = heights_file.MOST_BYTES  # of a surface
 MOST_READ = 64  # that are remembered
 _READING = threading.Lock()
 Texts = tuple[object, ...]  # of all files of a rig
@@ -36,7 +38,9 @@ def read_answer(told: "pb.RigReport", camera: str, known: Texts) -> Answer:
     answer = Answer(told.session, f"process {told.pid} on {told.host}", texts)
     if texts == known and told.protocol == PROTOCOL:
         return answer
-    if sum(map(len, (told.rig_yaml, told.camera_yaml, *told.offset_yaml.values(), *told.files.values()))) > MOST_TEXT:
+    tables = [text for text in told.files.values() if text.startswith(heights_file.BEGIN)]
+    whole = sum(map(len, (told.rig_yaml, told.camera_yaml, *told.offset_yaml.values(), *told.files.values())))
+    if whole - sum(map(len, tables)) > MOST_TEXT or sum(map(len, tables)) > MOST_TABLE:
         return answer._replace(problem=f"its rig is longer than {MOST_TEXT} characters; expected that of a camera")
     read = _read(
         Told(told.protocol, told.rig_yaml, told.camera_yaml, *map(_rows, (told.offset_yaml, told.files))), camera

@@ -25,7 +25,7 @@ from tests.on_surface import TOOL, rig_on
 Ground = Callable[[Floats], tuple[Floats, Floats]]  # heights (n,) m and slopes (n, 2) at places (n, 2)
 HALF = np.array([0.26, 0.19])  # m, where robots drive
 SPEED = 0.12  # m/s
-TOLD = Uncertainty(led_position_m=2e-6)
+TOLD = Uncertainty(led_position_m=0.0)
 
 
 def level(xy: Floats) -> tuple[Floats, Floats]:
