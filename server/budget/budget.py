@@ -18,6 +18,7 @@ from asterism.protocol.constellation import LEDS
 from asterism.protocol.geometry import Floats
 from asterism.protocol.led_offset import knot_weights
 from asterism.protocol.rig import Rig, Robot
+from asterism.server.budget.standing import SURFACE_SOURCES, stand_sigmas, stands_by_pose, surface_sigmas
 from asterism.server.budget.uncertainty import ESTIMATOR_NOISE, LedError, Uncertainty
 from asterism.server.centres.centre_noise import centre_covariances
 from asterism.server.pose.lens import lens_of, undistort
@@ -67,6 +68,12 @@ class Light:
     def assumed(centre: str) -> "Light":
         """The simulator's light, and what an estimator of centres makes of it."""
         return Light(Look(), ESTIMATOR_NOISE[centre] ** 2)
+
+
+def sources_of(rig: Rig) -> tuple[str, ...]:
+    """SOURCES, and of a rig whose robots stand on a surface those of that."""
+    stands = rig.surface is not None and any(robot.stands is not None for robot in rig.robots)
+    return (*SOURCES, *SURFACE_SOURCES) if stands else SOURCES
 
 
 def image_by_pose(rig: Rig, robot: Robot, poses: Poses) -> tuple[Floats, Floats]:
@@ -165,17 +172,24 @@ def pose_by_image(by_pose: Floats, covariances: Floats, seen: Floats, beyond: Fl
     ``covariances`` (n, 6, 2, 2) px^2 are what the solver is told of the spots, ``seen`` (n, 6) 1 or 0, ``beyond`` (n,)
     px^2 the variance that it finds in the residuals beyond that and adds to every spot.
     """
+    across = _weighted(by_pose, covariances, seen, beyond).transpose(0, 2, 1)
+    return np.linalg.solve(across @ by_pose, across).astype(np.float64, copy=False)
+
+
+def _weighted(by_pose: Floats, covariances: Floats, seen: Floats, beyond: Floats) -> Floats:
+    """W J (n, 12, 6)."""
     n = len(by_pose)
     least = (LEAST_SIGMA_PX**2 + beyond)[:, None, None, None]
     weights = np.linalg.inv(covariances + least * np.eye(2)) * seen[:, :, None, None]
-    weighted = np.einsum("nlij,nlik->nljk", weights, by_pose.reshape(n, LEDS, 2, 6)).reshape(n, 2 * LEDS, 6)
-    return np.linalg.solve(weighted.transpose(0, 2, 1) @ by_pose, weighted.transpose(0, 2, 1))
+    weighted: Floats = np.einsum("nlij,nlik->nljk", weights, by_pose.reshape(n, LEDS, 2, 6)).reshape(n, 2 * LEDS, 6)
+    return weighted
 
 
 def covariances_of(
     rig: Rig, robot: Robot, poses: Poses, uncertainty: Uncertainty, light: Light, seen: Floats | None = None
 ) -> Floats:
-    """Covariance (n, sources, 6, 6) of a robot's poses from every source alone, in the order of SOURCES, m and rad.
+    """Covariance (n, sources, 6, 6) of a robot's poses from every source alone, in the order of `sources_of`, m and
+    rad.
 
     ``seen`` (n, 6): 1 where an LED is seen, 0 where not; all where it is left out. Their sum is the whole budget.
     """
@@ -192,8 +206,17 @@ def covariances_of(
         np.square(left @ (factors[name] * np.repeat(seen, 2, axis=1)[:, :, None])).sum(axis=(1, 2))
         for name in SOURCES[2:]
     )
-    to_pose = pose_by_image(by_pose, own, seen, squares / np.maximum(2.0 * seen.sum(axis=1) - 6.0, 2.0))
-    moved = [to_pose @ factors[name] for name in SOURCES]
+    across = _weighted(by_pose, own, seen, squares / np.maximum(2.0 * seen.sum(axis=1) - 6.0, 2.0)).transpose(0, 2, 1)
+    normal, on_surface = across @ by_pose, []
+    if rig.surface is not None and robot.stands is not None:
+        by_stand, sigmas = stands_by_pose(robot, poses.rotations), (surface_sigmas(rig), stand_sigmas(robot))
+        pulled = by_stand.transpose(0, 2, 1) / (sigmas[0] ** 2 + sigmas[1] ** 2)
+        normal = normal + pulled @ by_stand
+        told = np.isfinite(sigmas[1])
+        on_surface = [np.linalg.solve(normal, pulled * np.where(told, each, 0.0)) for each in sigmas]
+    moved_by = np.linalg.solve(normal, across)
+    moved = [moved_by @ factors[name] for name in SOURCES] + on_surface
+    moved += [np.zeros((len(poses), 6, 1))] * (len(sources_of(rig)) - len(moved))  # of a robot that stands on nothing
     return np.stack([change @ change.transpose(0, 2, 1) for change in moved], axis=1)
 
 

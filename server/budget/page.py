@@ -10,8 +10,9 @@ from asterism import __version__
 from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import Rig
 from asterism.protocol.rig_files import UNCERTAINTY
-from asterism.server.budget.budget import COMPONENTS, LEAST_TILT, SOURCES, Light
+from asterism.server.budget.budget import COMPONENTS, LEAST_TILT, SOURCES, Light, sources_of
 from asterism.server.budget.plots import SCALES, UNITS, Plot
+from asterism.server.budget.standing import surface_sigmas
 from asterism.server.budget.truth import Bin, Compared
 from asterism.server.budget.uncertainty import Uncertainty
 from asterism.server.budget.workspace import Budget
@@ -117,7 +118,24 @@ def assumptions(uncertainty: Uncertainty, light: Light, rig: Rig) -> list[tuple[
         ("focal length", f"{u.focal_relative:.3%}", u.origin("focal_relative")),
         ("principal point", f"{u.principal_point_px:.3g} px per axis", u.origin("principal_point_px")),
         ("distortion", f"{u.distortion_relative:.2%} of its displacements{bent}", u.origin("distortion_relative")),
+        *(_surface(rig) if sources_of(rig) != SOURCES else ()),
     ]
+
+
+def _surface(rig: Rig) -> list[tuple[str, str, str]]:
+    """What the rig says of its surface, and of how robots stand on it."""
+    height, tilt, _ = surface_sigmas(rig).tolist()
+    stands: dict[str, list[str]] = {}
+    for robot in rig.robots:
+        if robot.stands is not None:
+            told = f"{robot.stands.sigma_m * 1e3:.3g} mm"
+            if np.isfinite(robot.stands.tilt_sigma_rad):
+                told += f" and {np.degrees(robot.stands.tilt_sigma_rad):.3g} degrees"
+            stands.setdefault(told, []).append(robot.id)
+    which = len(stands) > 1 or any(robot.stands is None for robot in rig.robots)
+    how = "; ".join(told + (f" ({', '.join(names)})" if which else "") for told, names in stands.items())
+    known = f"{height * 1e3:.3g} mm along its normal, {np.degrees(tilt):.3g} degrees"
+    return [("surface", known, "given: the rig"), ("stand on it", how, "given: the rig")]
 
 
 def _robots(all_of_them: int, looked_at: int, names: str) -> str:
@@ -163,8 +181,10 @@ def _sources(uncertainty: Uncertainty, light: Light, rig: Rig) -> str:
 
 def _table(budget: Budget, row: int) -> str:
     variances = budget.by_distance[row]
-    lines = [_row(name, np.sqrt(variance), "") for name, variance in zip(SOURCES, variances, strict=True)]
+    lines = [_row(name, np.sqrt(variance), "") for name, variance in zip(budget.sources, variances, strict=True)]
     lines.append(_row("all together", np.sqrt(variances.sum(axis=0)), "all"))
+    if budget.alone is not None:
+        lines.append(_row("without the surface", np.sqrt(budget.alone[row]), ""))
     head = "".join(f"<th>{name}, {unit}</th>" for name, unit in zip(COMPONENTS, UNITS, strict=True))
     return _scrolled("numbers", f"<tr><th>at {budget.distances[row]:.2f} m</th>{head}</tr>{''.join(lines)}")
 
@@ -193,10 +213,20 @@ def _measured(compared: Compared, bins: list[Bin], what: str) -> list[str]:
         f"<p>{escape(what)}: {len(compared.errors)} sightings, {compared.lost} lost, {compared.flips} with the wrong "
         "one of two tilts (left out below). Each cell: measured RMS / predicted one sigma.</p>",
         _scrolled("numbers", f"<tr><th>distance</th><th>sightings</th>{head}</tr>{''.join(rows)}"),
+        *([f"<p>{told}</p>"] if (told := by_light_text(compared)) else []),
         f"<p>Squared error weighted by the budget&#8217;s covariance averages {whole:.1f}, by the chain&#8217;s own "
         f"{own:.1f}; 6 is honest. One rig is one throw of its systematic errors: its measured errors lie about the "
         "predicted ones, more or less, and only many rigs agree with them on average.</p>",
     ]
+
+
+def by_light_text(compared: Compared) -> str:
+    """What the sightings that rest on the surface would be without it; nothing where none does."""
+    if not len(compared.by_light):
+        return ""
+    rms = np.sqrt(np.square(compared.by_light).mean(axis=0)) * SCALES
+    told = ", ".join(f"{name} {value:.3f} {unit}" for name, value, unit in zip(COMPONENTS, rms, UNITS, strict=True))
+    return f"{len(compared.by_light)} sightings rest on the surface too; by light alone their RMS errors are {told}."
 
 
 def _figure(plot: Plot) -> str:

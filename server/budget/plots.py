@@ -12,13 +12,13 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import Rig
-from asterism.server.budget.budget import COMPONENTS, LEAST_TILT, SOURCES
+from asterism.server.budget.budget import COMPONENTS, LEAST_TILT
 from asterism.server.budget.truth import Bin, Compared
 from asterism.server.budget.workspace import ALL_TILTS, Budget
 
 # Okabe and Ito (2008): told apart by the colour-blind as well.
-COLOURS = ("#0072B2", "#56B4E9", "#999999", "#D55E00", "#CC79A7", "#009E73", "#E69F00", "#B8A900")
-MARKS = "ovs^DPX*"
+COLOURS = ("#0072B2", "#56B4E9", "#999999", "#D55E00", "#CC79A7", "#009E73", "#E69F00", "#B8A900", "#000080", "#8B4513")
+MARKS = "ovs^DPX*h<"
 UNITS = ("mm", "mm", "mm", "deg", "deg", "deg")
 SCALES = np.array([1e3, 1e3, 1e3, *[180.0 / np.pi] * 3])  # from m and rad
 DECADES = 4.0  # below the largest value: what is less is nothing
@@ -59,7 +59,7 @@ def plots_of(rig: Rig, budget: Budget, compared: Compared | None, bins: list[Bin
             f"Error (one sigma) against distance from {near:.2f} to {far:.2f} m, each source alone and all together. "
             f"{domain}, and nine places in the image.",
             lambda sheet: _lines(
-                sheet, budget.distances, budget.by_distance, "distance along the optical axis, m", log=True
+                sheet, budget, budget.distances, budget.by_distance, "distance along the optical axis, m"
             ),
         ),
         _plot(
@@ -77,7 +77,7 @@ def plots_of(rig: Rig, budget: Budget, compared: Compared | None, bins: list[Bin
             "tilt.png",
             f"Error (one sigma) against the plate's tilt to the line of sight, at {budget.middle:.2f} m. Grey: below "
             f"{LEAST_TILT:g} degrees, where rx and ry depend on the spots to second order: first order says too much.",
-            lambda sheet: _lines(sheet, np.array(ALL_TILTS), budget.by_tilt, "tilt, degrees", log=False),
+            lambda sheet: _lines(sheet, budget, np.array(ALL_TILTS), budget.by_tilt, "tilt, degrees"),
         ),
     ]
     if compared is not None:
@@ -116,7 +116,8 @@ def _legend(figure: Figure, panel: Axes, sheet: Sheet, wide: int) -> None:
     figure.legend(*panel.get_legend_handles_labels(), loc="outside lower center", ncols=columns, frameon=False)
 
 
-def _lines(sheet: Sheet, places: Floats, variances: Floats, along: str, *, log: bool) -> Figure:
+def _lines(sheet: Sheet, budget: Budget, places: Floats, variances: Floats, along: str) -> Figure:
+    log = variances is budget.by_distance
     figure, panels = _panels(sheet, len(COMPONENTS))
     sigmas = np.sqrt(variances) * SCALES
     together = np.sqrt(variances.sum(axis=1)) * SCALES
@@ -125,10 +126,13 @@ def _lines(sheet: Sheet, places: Floats, variances: Floats, along: str, *, log: 
             panel.axvspan(places.min() - 2.0, LEAST_TILT, color="0.9", linewidth=0)
             panel.set_xlim(places.min() - 2.0, places.max() + 2.0)
         least = together[:, k].max() * 10.0**-DECADES
-        for source, (name, colour, mark) in enumerate(zip(SOURCES, COLOURS, MARKS, strict=True)):
+        for source, (name, colour, mark) in enumerate(zip(budget.sources, COLOURS, MARKS, strict=False)):
             shown = np.where(sigmas[:, source, k] > least, sigmas[:, source, k], np.nan)
             panel.plot(places, shown, color=colour, marker=mark, markersize=5, linewidth=1.4, label=name)
         panel.plot(places, together[:, k], "k", linewidth=2.8, label="all together")
+        if log and budget.alone is not None:
+            alone = np.sqrt(budget.alone[:, k]) * SCALES[k]
+            panel.plot(places, alone, "k--", linewidth=1.6, label="all, without the surface")
         panel.set_yscale("log")
         if log:
             panel.set_xscale("log")
@@ -163,7 +167,7 @@ def _shares(sheet: Sheet, budget: Budget) -> Figure:
         variances = budget.by_distance[row]
         shares = 100.0 * variances / np.maximum(variances.sum(axis=0), 1e-300)
         before = np.zeros(len(COMPONENTS))
-        for source, (name, colour) in enumerate(zip(SOURCES, COLOURS, strict=True)):
+        for source, (name, colour) in enumerate(zip(budget.sources, COLOURS, strict=False)):
             panel.barh(
                 range(len(COMPONENTS)),
                 shares[source],

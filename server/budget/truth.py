@@ -1,7 +1,7 @@
 """Measured beside predicted: the chain's poses against surveyed ones, with the budget at the very same poses."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ class Compared:
     the camera's axes; ``predicted`` (m, sources, 6, 6) by source and ``told`` (m, 6, 6), the chain's own covariances.
 
     ``flips`` more were seen with the wrong one of both tilts, ``lost`` not at all.
+    ``by_light`` (k, 6): errors by light alone of those sightings that rest on the surface too.
     """
 
     distances: Floats
@@ -34,6 +35,7 @@ class Compared:
     told: Floats
     flips: int
     lost: int
+    by_light: Floats = field(default_factory=lambda: np.zeros((0, 6)))
 
     @property
     def nees(self) -> tuple[float, float]:
@@ -109,17 +111,18 @@ def compare(
         predicted[mine] = share
     return Compared(
         np.array([true.position[2] for _, true in pairs]),
-        np.array(
-            [
-                np.concatenate([s.pose.position - true.position, log_rotation(s.pose.rotation @ true.rotation.T)])
-                for s, true in pairs
-            ]
-        ),
+        np.array([_error(sighting.pose, true) for sighting, true in pairs]),
         predicted,
         np.array([sighting.covariance for sighting, _ in pairs]),
         flips,
         lost,
+        np.array([_error(s.without, true) for s, true in pairs if s.without is not None]).reshape(-1, 6),
     )
+
+
+def _error(pose: Pose, true: Pose) -> Floats:
+    """(6,) m and rad about the camera's axes."""
+    return np.concatenate([pose.position - true.position, log_rotation(pose.rotation @ true.rotation.T)])
 
 
 def bins_of(compared: Compared) -> list[Bin]:

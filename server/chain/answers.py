@@ -17,7 +17,7 @@ from asterism.server.identity.rays import Rays
 from asterism.server.pose.choose import Choices
 from asterism.server.pose.fit import LEDS
 from asterism.server.pose.solve import Alternative, Lost, PoseEstimate, Solutions
-from asterism.server.pose.standing import ON_SURFACE, Stood
+from asterism.server.pose.stood import ON_SURFACE, Stood
 
 ALL_LEDS = tuple(range(LEDS))
 NO_POSE = "no pose that faces the camera explains its spots"

@@ -62,12 +62,12 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
         _take_common_noise(blobs, seen, matches.found, claimed, plan, learned)
     if plan.some_scatter:
         _take_known_light(image, blobs, seen, matches.found, claimed, plan)
-    shown: Seen | None = None
     if plan.shutter is None:
         solutions, shown = _solve(image, blobs, seen, matches.found, claimed, plan, learned, commons)
         choices = _choose(frame, seen, matches.found, solutions, plan, known)
     else:
-        solutions, choices, known = _solve_rolling(frame, blobs, seen, matches.found, plan, known, commons)
+        solutions, choices, known, at_rest = _solve_rolling(frame, blobs, seen, matches.found, plan, known, commons)
+        shown = Seen(at_rest[0], commons, at_rest[1])
     if before is None:
         stood = stand(plan, matches.found, shown, solutions, choices, frame.exposed_ns, tracks, known)
         answers = answers_of(plan, blobs, seen, matches, solutions, choices, stood)
@@ -75,7 +75,7 @@ def localize(frame: Frame, rig: Rig, tracks: Tracks) -> tuple[FrameResult, Track
     place = place_now(before, plan, blobs, seen, matches.found, solutions)
     carried_over(choices, before.T_world_camera, place)
     plan = plan.at(place.T_world_camera)
-    if plan.underfoot is not None and shown is not None:
+    if plan.underfoot is not None:
         shown = shown._replace(terms=shown.terms + of_place(place, solutions, choices))
     stood = stand(plan, matches.found, shown, solutions, choices, frame.exposed_ns, tracks, known)
     answers = answers_of(plan, blobs, seen, matches, solutions, choices, stood)
@@ -230,8 +230,8 @@ def _at_own_rows(known: Tracks, frame: Frame, plan: Plan) -> Tracks:
 
 def _solve_rolling(
     frame: Frame, blobs: Blobs, seen: Rays, found: Matched, plan: Plan, known: Tracks, commons: Floats
-) -> tuple[Solutions, Choices, Tracks]:
-    """Solutions and choices at mid-frame, of LEDs each of which was seen at its own row's time."""
+) -> tuple[Solutions, Choices, Tracks, tuple[Measured, Floats]]:
+    """Solutions and choices at mid-frame, of LEDs each of which was seen at its own row's time, as `solve_rolling`."""
     assert plan.shutter is not None
     measured = Measured(seen.rays, seen.covariances, blobs.centres_px[seen.rows])
     setup = Setup(plan.lens, plan.constellations, plan.mounts, plan.shutter)

@@ -49,7 +49,9 @@ class SmoothedPose(PoseEstimate):
 
 
 class Seen(NamedTuple):
-    """Poses of n robots in a frame: what was seen, what of their covariances ``stays`` (n, 6, 6), and by which LEDs."""
+    """Poses of n robots in a frame: what was seen, what of their covariances ``stays`` (n, 6, 6), and by which LEDs, -1
+    among them for the surface.
+    """
 
     sight: Sight
     stays: Floats
@@ -111,10 +113,25 @@ def seen_in(result: FrameResult, rig: Rig) -> Seen:
     own_px2 = np.array([spots[list(pose.spots)][:, ::2].mean() for pose in poses])
     place = result.place
     camera = (place.T_world_camera, place.covariance) if place is not None else None
-    stays = what_stays(Told(positions, covariances, own_px2, result.learned[rows]), rig, camera)
+    by_spots = np.array([_by_spots(pose) for pose in poses])
+    stays = what_stays(Told(positions, covariances, own_px2, result.learned[rows], by_spots), rig, camera)
     axes = np.array([rig.robots[k].T_robot_plane.rotation[:, 2] for k in rows])
     rotations = np.array([pose.pose.rotation for pose in poses])
-    return Seen(Sight(positions, rotations, covariances - stays, axes), stays, [pose.leds for pose in poses])
+    # With the surface what stays is another than without: as if other LEDs were seen.
+    leds = [(*pose.leds, -1) if _rests(pose) else pose.leds for pose in poses]
+    return Seen(Sight(positions, rotations, covariances - stays, axes), stays, leds)
+
+
+def _rests(pose: PoseEstimate) -> bool:
+    """Whether a pose rests on the surface as well as on light."""
+    return pose.surface is not None and pose.surface.by_spots is not None
+
+
+def _by_spots(pose: PoseEstimate) -> Floats:
+    """What of its covariance the spots make, nan where it does not say."""
+    if pose.surface is not None and pose.surface.by_spots is not None:
+        return pose.surface.by_spots
+    return np.full((6, 6), np.nan)
 
 
 def smoothed(seen: PoseEstimate, pose: Pose, covariance: Floats, velocity: Velocity, smoothed_by: str) -> SmoothedPose:

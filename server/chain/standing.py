@@ -11,16 +11,8 @@ from asterism.server.pose.choose import Choices
 from asterism.server.pose.matched import Matched, Measured
 from asterism.server.pose.place import Place
 from asterism.server.pose.solve import Alternative, OnSurface, Solutions
-from asterism.server.pose.standing import (
-    BEYOND,
-    LIFTED,
-    ON_SURFACE,
-    SUNK,
-    TILTED,
-    Alone,
-    Stood,
-    stand_robots,
-)
+from asterism.server.pose.standing import stand_robots
+from asterism.server.pose.stood import BEYOND, LIFTED, ON_SURFACE, SUNK, TILTED, Alone, Stood
 from asterism.server.pose.track import Tracks
 
 NAMES = {ON_SURFACE: "ON_SURFACE", LIFTED: "LIFTED", SUNK: "SUNK", TILTED: "TILTED", BEYOND: "BEYOND"}
@@ -38,13 +30,13 @@ class Seen(NamedTuple):
 
 
 def stand(
-    plan: Plan, found: Matched, seen: Seen | None, solutions: Solutions, choices: Choices, exposed_ns: int,
+    plan: Plan, found: Matched, seen: Seen, solutions: Solutions, choices: Choices, exposed_ns: int,
     before: Tracks, known: Tracks,
 ) -> Stood | None:  # fmt: skip
     """How the robots stand; None where nobody does by the rig. Writes the tracks ``known``; ``before`` are those of the
     frame before.
     """
-    if plan.underfoot is None or seen is None:
+    if plan.underfoot is None:
         return None
     stood = Stood.room(len(found.robots))
     moves, variances = _correction(plan, choices)

@@ -5,6 +5,9 @@ of Z leaves are added to it as they are, and are taken out as they are. The rest
 its spots, each of which is off by its own noise, new in every frame, and by what the rig has wrong of its LED.
 The second is learned frame by frame (`FrameResult.learned`), and by both variances the rest is divided.
 
+A pose that rests on the surface as well (`pose.standing`) says itself what the spots make of its covariance: the rest
+is the surface's, which stays.
+
 What is not known of an LED's light (`led_doubt`) and light beside all LEDs (`common_shift`) are counted as noise.
 """
 
@@ -25,13 +28,15 @@ BY_TURN, BY_WAY = 3.0, 4.0
 class Told(NamedTuple):
     """What a frame tells of n poses: ``positions`` (n, 3) m, ``covariances`` (n, 6, 6), the mean variance of a
     coordinate of their spots, ``own_px2`` (n,), and how far off the rig has their LEDs, ``misfits`` (n,) m, 0 where
-    that is not known.
+    that is not known; ``by_spots`` (n, 6, 6), the part of the covariances that comes from the spots, where poses say
+    that, else nan or None.
     """
 
     positions: Floats
     covariances: Floats
     own_px2: Floats
     misfits: Floats
+    by_spots: Floats | None = None
 
 
 def what_stays(told: Told, rig: Rig, camera: tuple[Pose, Floats] | None = None) -> Floats:
@@ -58,6 +63,8 @@ def what_stays(told: Told, rig: Rig, camera: tuple[Pose, Floats] | None = None) 
     misfit_px2 = np.square(told.misfits * focal / depths)
     share = np.maximum(told.own_px2 / (told.own_px2 + misfit_px2), LEAST_SHARE)
     stays: Floats = by_rig + (1.0 - share)[:, None, None] * (told.covariances - by_rig)
+    if told.by_spots is not None:
+        stays = np.where(np.isnan(told.by_spots), stays, told.covariances - share[:, None, None] * told.by_spots)
     return stays
 
 

@@ -28,6 +28,7 @@ from asterism.server.service.adviser import Adviser
 from asterism.server.service.live_line import LiveLine, Now
 from asterism.server.service.say import say, say_warnings
 from asterism.server.service.stop import Stop, stop_on_signals
+from asterism.server.service.surface_watch import SurfaceWatch
 from asterism.server.service.tally import Tally
 from asterism.server.sources.open_source import refuse_endless
 from asterism.server.sources.source import Source
@@ -73,16 +74,19 @@ def run(options: argparse.Namespace) -> int:
     warm_up(*localizing(rig, options.source))
     encoder, stop = msgspec.json.Encoder(), Stop()
     tally = Tally(robot.id for robot in rig.robots)
-    adviser = Adviser(rig, tally, say)
+    adviser, surface = Adviser(rig, tally, say), SurfaceWatch(rig, say)
     with lines_output(options.out, options.force) as out, film_recorder(options, rig, source) as record:
         with stop_on_signals(stop), _live_line(options.out, source, tally):
             located = _watched(_located(source.frames(), rig, options.independent), tally, adviser, stop)
+            located = surface.watched(located)
             for frame, result in smoothed(located, rig, options.smooth):
                 if out is not None:
                     out.write(encoder.encode(line(frame, result)) + b"\n")
                 if record is not None:
                     record(frame, result)
         _tell(source, tally, adviser, stop())
+        if surface.problem:
+            say(f"{surface.problem}; {surface.remedy}")
         if stop():
             raise KeyboardInterrupt  # so that half of it does not stand under the name of the whole
     return 0

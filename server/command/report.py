@@ -12,8 +12,8 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.rig import Rig, load_rig
 from asterism.protocol.rig_files import UNCERTAINTY, own_path
 from asterism.protocol.yaml_file import parse_yaml
-from asterism.server.budget.budget import SOURCES, Light
-from asterism.server.budget.page import assumptions, page
+from asterism.server.budget.budget import Light
+from asterism.server.budget.page import assumptions, by_light_text, page
 from asterism.server.budget.plots import plots_of
 from asterism.server.budget.truth import Bin, Compared, bins_of, compare, light_of
 from asterism.server.budget.truth_lines import is_lines, match_lines, sightings_of_lines
@@ -198,12 +198,14 @@ def _table(budget: Budget) -> Table:
         table.add_column(name, justify="right", no_wrap=True)
     scales = np.array([1e3, 1e3, 1e3, *[np.degrees(1.0)] * 3])
     parts, whole = budget.by_distance[middle], budget.by_distance.sum(axis=1)
-    for name, variances in zip(SOURCES, parts, strict=True):
+    for name, variances in zip(budget.sources, parts, strict=True):
         share = variances[2] / max(float(whole[middle, 2]), 1e-300)
         table.add_row(name, *(f"{value:.4f}" for value in np.sqrt(variances) * scales), f"{share:.0%}")
     for name, at in (("all together", middle), ("  near", near), ("  far", far)):
         label = name if at == middle else f"{name}, {budget.distances[at]:.2f} m"
         table.add_row(label, *(f"{value:.4f}" for value in np.sqrt(whole[at]) * scales), style="bold")
+        if budget.alone is not None:
+            table.add_row("  without surface", *(f"{value:.4f}" for value in np.sqrt(budget.alone[at]) * scales))
     return table
 
 
@@ -219,6 +221,8 @@ def _tell(console: Console, compared: Compared, bins: list[Bin]) -> None:
         )
         table.add_row("", "", "predicted", *(f"{b:.3f}" for b in part.predicted * scales), style="dim")
     console.print(table)
+    if told := by_light_text(compared):
+        console.print(told, highlight=False)
     whole, own = compared.nees
     console.print(
         f"{len(compared.errors)} sightings, {compared.lost} lost, {compared.flips} with the wrong tilt; squared error "

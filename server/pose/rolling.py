@@ -131,9 +131,10 @@ def solve_rolling(
     commons: Floats,
     exposed_ns: int,
     tracks: Tracks,
-) -> tuple[Solutions, Choices, Tracks]:
+) -> tuple[Solutions, Choices, Tracks, tuple[Measured, Floats]]:
     """Solve and choose as `solve_robots` and `choose` do, for mid-frame. Writes the tracks, and returns them with what
-    is remembered of the robots' motion.
+    is remembered of the robots' motion; and the spots as they would have been seen at mid-frame, with what is not known
+    of the poses (m, 6, 6) because of the motion.
 
     ``heights`` (n,) are those of the spots; ``commons`` (m, 3) as in `common_shift.add_common_shifts`.
     """
@@ -155,7 +156,7 @@ def solve_rolling(
     known = Rates._make(column[look.told] for column in rates)
     look = look._replace(moving=look.moving.with_rows(green[look.told], begin(look.seen, known)))
     _tell(frame, found, look)
-    return solutions, choices, tracks
+    return solutions, choices, tracks, _at_rest(frame, found, look, _with(rates, look.told, look.moving))
 
 
 def _look(frame: _Frame, found: Matched, poses: tuple[Floats, Floats], rates: Rates) -> _Look:
@@ -187,6 +188,22 @@ def _tell(frame: _Frame, found: Matched, look: _Look) -> None:
     robots = found.robots[look.told]
     tracks.courses.write(robots, frame.exposed_ns, moving[:5])
     tracks.velocities[robots], tracks.turns[robots] = moving.mean[:, :3], moving.mean[:, 3:]
+
+
+def _at_rest(frame: _Frame, found: Matched, look: _Look, rates: Rates) -> tuple[Measured, Floats]:
+    """The spots brought to mid-frame by the rates as they turned out, and what these leave open of the poses."""
+    solutions, terms = frame.solutions, np.zeros((len(found.robots), 6, 6))
+    poses = found.rotations.copy(), found.ts.copy()
+    poses[0][look.told], poses[1][look.told] = (
+        solutions.rotations[look.told, look.best],
+        solutions.ts[look.told, look.best],
+    )
+    brought, _ = _bring(frame.setup.lens, _lit(frame.setup, found, frame.measured), frame.measured, poses, rates)
+    skews, moving, at = look.seen.skews, look.moving, np.arange(6)
+    told = skews @ moving.covariances[:, 6:, 6:] @ skews.transpose(0, 2, 1)
+    told[:, at, at] += density(moving.weights) * np.abs(look.lit.mean())[:, None] ** 3 / 3.0
+    terms[look.told] = 0.5 * (told + told.transpose(0, 2, 1))
+    return brought._replace(covariances=frame.measured.covariances), terms
 
 
 def _with(rates: Rates, rows: NDArray[np.int64], moving: Moving) -> Rates:

@@ -8,171 +8,52 @@ seen: a surface that is wrong by a little is followed less and less.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from asterism.protocol.geometry import Floats
 from asterism.server.compiled import compiled
-from asterism.server.pose.choose import MOST_ODDS, Choices, carry, to_parent, turn_room
+from asterism.server.pose.choose import MOST_ODDS, carry, to_parent, turn_room
 from asterism.server.pose.covariance import invert, move_origin
-from asterism.server.pose.fit import LEDS
+from asterism.server.pose.doubt import doubt, doubt_tilt
 from asterism.server.pose.ground import is_within, sigma_at
 from asterism.server.pose.lens import FX, FY
-from asterism.server.pose.matched import Constellations, Lit, Measured, gather
-from asterism.server.pose.minima import NEGLIGIBLE, SAME_RAD, Robot, largest
+from asterism.server.pose.minima import SAME_RAD, Robot
 from asterism.server.pose.on_surface import (
     add_stance,
     fill_stance,
     refine_standing,
     stance_cost,
-    stance_room,
 )
 from asterism.server.pose.planar import NO_SOLUTION, cholesky_solve, normal_equations
 from asterism.server.pose.remembered import DENIED, look_back, remember
 from asterism.server.pose.rotations import angle_between, exp_into, product_into
-from asterism.server.pose.shared_errors import fill_light, is_shared, shared_room
-from asterism.server.pose.solve import NOISE_SHARE, Solutions, fill_residuals
+from asterism.server.pose.seen_standing import (
+    fill_seen_pose,
+    gather_lit,
+    light_alone,
+    seen_of,
+    standing_room,
+    take_place,
+)
+from asterism.server.pose.shared_errors import fill_light, is_shared
+from asterism.server.pose.solve import NOISE_SHARE, fill_residuals
 from asterism.server.pose.spot_shift import correct_rays
+from asterism.server.pose.stood import (
+    BEYOND,
+    LIFTED,
+    NOWHERE,
+    OFF,
+    OFF_SIGMA,
+    ON_SURFACE,
+    SUNK,
+    TILT,
+    TILT_SIGMA,
+    TILTED,
+)
 from asterism.server.pose.systematic import ITERATIONS, systematic
 from asterism.server.pose.track import is_fresh
 
-NOWHERE, ON_SURFACE, LIFTED, SUNK, TILTED, BEYOND = range(6)  # NOWHERE: the rig does not have it stand, or it is lost
-OFF, OFF_SIGMA, TILT, TILT_SIGMA = range(4)  # columns of `Stood.offs`
 TILT_DENIED = 28.7  # chi squared of both tilts together that is as unlikely as 5 sigma
-DOUBTED, TILT_DOUBTED = (
-    2.0,
-    6.2,
-)  # sigmas, and chi squared, of one right surface in twenty: from there on it counts less
-COVER = 2.0  # what is seen beyond that is so many of the sigmas that the surface is given
-LOSS = 0.1  # of the pose's variance that doubting a right surface may cost
 SETTLE = 3  # Gauss-Newton steps that bring shared errors in
-
-
-class Alone(NamedTuple):
-    """What light alone says of m robots, as `solve.solve_robots` and `choose.choose` left it; with the covariances
-    ``commons`` (m, 3) of rays that their spots share, ``terms`` (m, 6, 6) of their planes' poses that no spot shows,
-    and ``moves`` (m, 3) m, what light is known to have them off by: to be added. All in the camera's frame.
-    """
-
-    lens: Floats
-    constellations: Constellations
-    measured: Measured
-    solutions: Solutions
-    choices: Choices
-    commons: Floats
-    terms: Floats
-    moves: Floats
-
-
-class Stood(NamedTuple):
-    """How m robots stand: ``standing`` (m,) by the numbers above; ``offs`` (m, 4): how far off the surface light has
-    them, m and rad, with sigmas. Of those ON_SURFACE, in the parent frame as `Choices`: ``odds``, ``positions``,
-    ``quaternions``, ``covariances``; ``by_spots`` (m, 6, 6), the part of these that comes from single spots' errors;
-    ``residuals`` (m, 6, 2) px.
-    """
-
-    standing: NDArray[np.int64]
-    offs: Floats
-    odds: Floats
-    positions: Floats
-    quaternions: Floats
-    covariances: Floats
-    by_spots: Floats
-    residuals: Floats
-
-    @staticmethod
-    def room(robots: int) -> "Stood":
-        """Room for so many robots."""
-        m = robots
-        return Stood(
-            np.zeros(m, np.int64), np.full((m, 4), np.nan), np.empty(m), np.zeros((m, 2, 3)), np.zeros((m, 2, 4)),
-            np.empty((m, 6, 6)), np.empty((m, 6, 6)), np.empty((m, LEDS, 2)),
-        )  # fmt: skip
-
-
-class _Work(NamedTuple):
-    """Scratch of one robot: its visible LEDs, ``own`` (6, 3) the information of the spots' own noise; poses that were
-    begun from both minima and from the surface, their costs; the matrices of a step.
-    """
-
-    room: Any
-    own: Any
-    centre: Any
-    rotations: Any  # (3, 3, 3)
-    ts: Any  # (3, 3)
-    costs: Any  # (3,)
-    stance: Any
-    shared: Any
-    light: Any  # (6, 6): light's information
-    alone: Any  # (6, 6): without what its errors share
-    a: Any  # (6, 6)
-    covariance: Any  # (6, 6)
-    b: Any  # (6,)
-    gain: Any  # (6,)
-    arm: Any  # (3,)
-    shifts: Any  # (6, 2)
-
-
-@compiled
-def _work_room():
-    room = Lit(np.empty((LEDS, 3)), np.empty((LEDS, 2)), np.empty((LEDS, 2)), np.empty((LEDS, 3)))
-    six = np.empty((4, 6, 6))
-    return _Work(
-        room, np.empty((LEDS, 3)), np.empty(3), np.empty((3, 3, 3)), np.empty((3, 3)), np.empty(3), stance_room(),
-        shared_room(), six[0], six[1], six[2], six[3], np.empty(6), np.empty(6), np.empty(3), np.zeros((LEDS, 2)),
-    )  # fmt: skip
-
-
-@compiled
-def _lit(work, count, information):
-    """The ``count`` visible LEDs."""
-    return Lit(work.room.points[:count], work.room.seen[:count], work.room.applied[:count], information[:count])
-
-
-@compiled
-def _fill_pose(rotation, t, centre, out, out_t):
-    """Fill ``out`` (3, 3) and ``out_t`` (3,) with a plane's pose about the visible LEDs' mean."""
-    out[:, :] = rotation
-    for i in range(3):
-        out_t[i] = t[i]
-        for j in range(3):
-            out_t[i] += rotation[i, j] * centre[j]
-
-
-@compiled
-def _gather(robot, alone, k, which, focal, work):
-    """Fill the visible LEDs, with what the residuals of light's pose say is missing; returns how many they are."""
-    solutions, zero = alone.solutions, work.shifts
-    zero[:, :] = 0.0
-    rotation, t = work.rotations[which], work.ts[which]
-    count = gather(robot.layout, robot.labels, alone.measured, zero, 0.0, focal, work.room, work.centre)
-    work.own[:count] = work.room.information[:count]
-    _fill_pose(solutions.rotations[k, which], solutions.ts[k, which], work.centre, rotation, t)
-    lit = _lit(work, count, work.own)
-    correct_rays(rotation, t, lit, robot.optics)
-    known2 = (solutions.learned[k] / t[2]) ** 2
-    extra, _ = systematic(rotation, t, lit, focal, known2)
-    if extra * (largest(lit.information, 0) + largest(lit.information, 2)) >= NEGLIGIBLE:
-        gather(robot.layout, robot.labels, alone.measured, zero, extra, focal, work.room, work.centre)
-    return count
-
-
-@compiled
-def _take_place(number, rotation, alone, k, underfoot, work):
-    """Fill what the stance and shared errors are of a robot, by its row and its ``number`` in the rig."""
-    stance, shared, feet, arm = work.stance, work.shared, underfoot.feet, work.arm
-    for i in range(3):
-        stance.point[i] = feet.points[number, i] - work.centre[i]
-        stance.axis[i] = feet.axes[number, i]
-        stance.move[i] = alone.moves[k, i]
-        shared.common[i] = alone.commons[k, i]
-        arm[i] = 0.0
-        for j in range(3):
-            arm[i] += rotation[i, j] * work.centre[j]
-    shared.terms[:, :] = alone.terms[k]
-    move_origin(shared.terms, arm)
 
 
 @compiled
@@ -222,7 +103,7 @@ def _refine_all(robot, solutions, k, underfoot, count, focal, work):
         work.costs[which] = NO_SOLUTION
         if which < 2 and not solutions.costs[k, which] < NO_SOLUTION:
             continue
-        lit = _lit(work, count, work.room.information)
+        lit = seen_of(work, count, work.room.information)
         work.costs[which] = refine_standing(
             work.rotations[which], work.ts[which], lit, robot.optics, work.stance, underfoot, ITERATIONS, focal
         )
@@ -231,7 +112,7 @@ def _refine_all(robot, solutions, k, underfoot, count, focal, work):
 @compiled
 def _mode_cost(robot, learned, which, underfoot, count, focal, work):
     """Minus twice the logarithm of how likely a refined pose is: `systematic`'s of the spots, and the surface's."""
-    rotation, t, lit = work.rotations[which], work.ts[which], _lit(work, count, work.own)
+    rotation, t, lit = work.rotations[which], work.ts[which], seen_of(work, count, work.own)
     correct_rays(rotation, t, lit, robot.optics)
     _, cost = systematic(rotation, t, lit, focal, (learned / t[2]) ** 2)
     if not fill_stance(rotation, t, work.stance, underfoot, False):
@@ -271,50 +152,6 @@ def _choose(robot, alone, k, underfoot, count, focal, work):
     return best, other, math.exp(min(abs(evidence), math.log(MOST_ODDS)))
 
 
-@compiled
-def _light_alone(robot, solutions, k, underfoot, count, work):
-    """What the cheaper of light's minima costs with these spots; and how far its axis is from the normal, of whichever
-    is nearer to it, with the sigma of that: by ``a`` pose's own covariance.
-    """
-    least, nearest, sigma = NO_SOLUTION, math.inf, 0.0
-    rotation, t, stance, covariance = work.rotations[2], work.ts[2], work.stance, work.covariance
-    for which in range(2):
-        if not solutions.costs[k, which] < NO_SOLUTION:
-            continue
-        _fill_pose(solutions.rotations[k, which], solutions.ts[k, which], work.centre, rotation, t)
-        lit = _lit(work, count, work.room.information)
-        correct_rays(rotation, t, lit, robot.optics)
-        least = min(least, fill_light(rotation, t, lit, robot.optics, work.shared, work.light, work.b))
-        if not fill_stance(rotation, t, stance, underfoot, True):
-            continue
-        tilt = math.sqrt(stance.off[1] ** 2 + stance.off[2] ** 2)
-        if tilt < nearest:
-            nearest = tilt
-            covariance[:, :] = solutions.covariances[k, which]
-            for i in range(3):
-                work.arm[i] = 0.0
-                for j in range(3):
-                    work.arm[i] += rotation[i, j] * work.centre[j]
-            move_origin(covariance, work.arm)
-            sigma = math.sqrt(_tilt_variance(stance, covariance) + 1.0 / max(stance.weights[1], 1e-12))
-    return least, nearest, sigma
-
-
-@compiled
-def _tilt_variance(stance, covariance):
-    """The variance of the tilt against the normal, along the tilt itself."""
-    off, by_pose, gain = stance.off, stance.by_pose, np.empty(6)
-    size = math.sqrt(off[1] ** 2 + off[2] ** 2)
-    x, y = (off[1] / size, off[2] / size) if size > 0.0 else (1.0, 0.0)
-    total = 0.0
-    for i in range(6):
-        gain[i] = x * by_pose[1, i] + y * by_pose[2, i]
-    for i in range(6):
-        for j in range(6):
-            total += gain[i] * covariance[i, j] * gain[j]
-    return total
-
-
 class _Fit(NamedTuple):
     """A pose solved with the surface: what light's part ``cost``, and the surface's, ``stance``; how far off it is with
     the height left to light, ``off`` m, the ``variance`` of that by light, and which part of it is single spots' own,
@@ -334,7 +171,7 @@ def _finish(robot, which, underfoot, count, work):
     what it says of the height.
     """
     rotation, t, stance, a, b = work.rotations[which], work.ts[which], work.stance, work.a, work.b
-    lit = _lit(work, count, work.room.information)
+    lit = seen_of(work, count, work.room.information)
     correct_rays(rotation, t, lit, robot.optics)
     fill_stance(rotation, t, stance, underfoot, True)
     for _ in range(SETTLE if is_shared(robot.optics, work.shared) else 0):
@@ -421,48 +258,17 @@ def _fill_by_spots(work):
 
 
 @compiled
-def _doubted(more, likely, light, bound):
-    """How much of ``more`` variance a surface is given that is in doubt: what that costs where it is right all the
-    same, the pull of light's error times how ``likely`` it is, is no more than LOSS of the pose's own, ``bound``.
-    """
-    lost = more * more * likely / light
-    return more * min(1.0, LOSS * bound / lost) if lost > 0.0 else more
-
-
-@compiled
-def _doubt(mean, together, variance, light):
-    """What is to be added to the variance of a surface, m^2, that light saw off by ``mean``, ``together`` its variance,
-    in the last frames; ``variance`` is the surface's own, ``light`` that of this frame.
-    """
-    more = (mean * mean - DOUBTED**2 * together) / COVER**2
-    if more <= 0.0:
-        return 0.0
-    likely = math.exp(-0.5 * mean * mean / together)
-    return _doubted(more, likely, light, variance * light / (variance + light))
-
-
-@compiled
-def _doubt_tilt(tilted, tilt, variance):
-    """The same, rad^2, of a normal that light's ``tilt`` denies by a chi squared of ``tilted``."""
-    if tilted <= TILT_DOUBTED or not variance < math.inf:
-        return 0.0
-    light = tilt * tilt / tilted
-    more = (1.0 - TILT_DOUBTED / tilted) * tilt * tilt / COVER**2
-    return _doubted(more, math.exp(-0.5 * tilted), light, variance * light / (variance + light))
-
-
-@compiled
 def _stand(matched, alone, k, underfoot, mounts, history, work, stood):
     """How one robot stands, from its row; writes what is remembered of it."""
     number, solutions, best = matched.robots[k], alone.solutions, alone.choices.best[k]
     focal = math.sqrt(alone.lens[FX] * alone.lens[FY])
     robot = Robot(alone.constellations.layouts[number], alone.constellations.optics[number], matched.assignment[k])
     stance, offs = work.stance, stood.offs[k]
-    count = _gather(robot, alone, k, best, focal, work)
-    _take_place(number, solutions.rotations[k, best], alone, k, underfoot, work)
+    count = gather_lit(robot, alone, k, best, focal, work)
+    take_place(number, solutions.rotations[k, best], alone, k, underfoot, work)
     for which in range(2):
         if solutions.costs[k, which] < NO_SOLUTION:
-            _fill_pose(
+            fill_seen_pose(
                 solutions.rotations[k, which], solutions.ts[k, which], work.centre, work.rotations[which],
                 work.ts[which],
             )  # fmt: skip
@@ -474,7 +280,7 @@ def _stand(matched, alone, k, underfoot, mounts, history, work, stood):
     if not inside:
         history[:, :] = 0.0
         return
-    least, tilt, tilt_sigma = _light_alone(robot, solutions, k, underfoot, count, work)
+    least, tilt, tilt_sigma = light_alone(robot, solutions, k, underfoot, count, work)
     offs[TILT], offs[TILT_SIGMA] = tilt, tilt_sigma
     _begin(best, underfoot, work)
     _refine_all(robot, solutions, k, underfoot, count, focal, work)
@@ -501,12 +307,12 @@ def _stand(matched, alone, k, underfoot, mounts, history, work, stood):
             offs[OFF], offs[OFF_SIGMA] = mean, math.sqrt(together)
         stood.standing[k] = LIFTED if offs[OFF] > 0.0 else SUNK
         return
-    more = _doubt(mean, together, variance, fit.variance)
-    more_tilt = _doubt_tilt(tilted, tilt, tilt_variance)
+    more = doubt(mean, together, variance, fit.variance)
+    more_tilt = doubt_tilt(tilted, tilt, tilt_variance)
     if more > 0.0 or more_tilt > 0.0:
         stance.weights[0] = 1.0 / (variance + more)
         stance.weights[1] = 1.0 / (tilt_variance + more_tilt)
-        lit = _lit(work, count, work.room.information)
+        lit = seen_of(work, count, work.room.information)
         refine_standing(work.rotations[first], work.ts[first], lit, robot.optics, stance, underfoot, ITERATIONS, focal)
         _finish(robot, first, underfoot, count, work)
     stood.standing[k] = ON_SURFACE
@@ -519,7 +325,7 @@ def _by_light(alone, k, underfoot, variance, work, stood):
     """How far a robot that is tilted is off the surface, by light alone: further than sigmas explain, it is lifted."""
     best, offs, stance = alone.choices.best[k], stood.offs[k], work.stance
     rotation, t, covariance = work.rotations[2], work.ts[2], work.covariance
-    _fill_pose(alone.solutions.rotations[k, best], alone.solutions.ts[k, best], work.centre, rotation, t)
+    fill_seen_pose(alone.solutions.rotations[k, best], alone.solutions.ts[k, best], work.centre, rotation, t)
     if not fill_stance(rotation, t, stance, underfoot, True):
         offs[OFF] = offs[OFF_SIGMA] = math.nan
         return
@@ -541,7 +347,7 @@ def stand_robots(matched, alone, underfoot, mounts, exposed_ns, seen_ns, histori
     """How every solved robot stands: fill the `Stood` from `Matched` and `Alone`, and write ``histories`` (robots,
     REMEMBERED, 3) of the distances that light saw (`remembered`). ``seen_ns`` (robots,) when they were seen before.
     """
-    work = _work_room()
+    work = standing_room()
     for k in range(matched.robots.shape[0]):
         robot = matched.robots[k]
         stood.standing[k] = NOWHERE

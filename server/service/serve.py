@@ -11,7 +11,7 @@ from asterism.protocol.codec import encode_rig, to_bytes
 from asterism.protocol.messages import Message
 from asterism.protocol.rig import Rig
 from asterism.recordings.recorder import Recorder
-from asterism.server.chain.frame import Frame
+from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.chain.pipeline import localize
 from asterism.server.chain.report import report
 from asterism.server.chain.smooth import Motions, smooth
@@ -29,8 +29,9 @@ from asterism.server.service.publish import Publisher
 from asterism.server.service.reload import Outcome, Reloader, settings_left
 from asterism.server.service.say import complain, say, say_warnings
 from asterism.server.service.stop import Stop
+from asterism.server.service.surface_watch import SurfaceWatch
 from asterism.server.service.systemd import Systemd
-from asterism.server.service.threads import Feed, Ticker
+from asterism.server.service.threads import Feed, Newest, Ticker
 from asterism.server.sources.paced import paced
 from asterism.server.sources.session_clock import SessionClock
 from asterism.server.sources.simulated import Simulated
@@ -38,6 +39,7 @@ from asterism.server.sources.source import LiveSource, Source
 
 STATUS_EVERY_S = 1.0
 BREATH_S = 0.001  # of the thread that looks at drift: frames do not wait for it to be done
+WATCHED = 40  # frames that may wait for the thread that looks at the surface
 SILENT_S = 0.5  # after that long without a frame no robot counts as visible
 
 
@@ -86,6 +88,7 @@ class Run:
         self.health = Health(rig.camera.name, source.name, (robot.id for robot in rig.robots))
         self._adviser = Adviser(rig, self.health.tally, say)
         self._drift = Drift(rig, say)
+        self._surface = SurfaceWatch(rig, say)
         self._disk = None if outlets.recorder is None else Disk(outlets.recorder, say)
         self._systemd = Systemd()
         self._events = Events(rig.camera.name)
@@ -115,13 +118,16 @@ class Run:
             stack.callback(self._count, feed)
             stack.callback(Ticker(lambda: self._tick(feed), STATUS_EVERY_S).close)
             stack.callback(self._systemd.stopping)
+            # In a thread of its own, frame by frame: what is wrong is to be said within ten of them.
+            watched = Newest(self._watch_surface, "surface", WATCHED)
+            stack.callback(watched.close)
             if self.reloader is not None:
                 stack.callback(self.reloader.close)
             self._systemd.ready()
             # A hundred thousand objects, kernels' above all, stay to the end: looking at them again takes 40 ms.
             gc.freeze()
             stack.callback(gc.unfreeze)
-            self._loop(feed, smoothed)
+            self._loop(feed, smoothed, watched)
 
     def now(self) -> Now:
         """How it is doing, for the live line."""
@@ -161,7 +167,8 @@ class Run:
             health.frames_not_recorded = recorder.frames_left_out
             health.messages_not_recorded = recorder.messages_left_out
         drift = self._drift.problem
-        problems = (self._waiting(), "" if recorder is None else recorder.problem, self._reloads.problem, drift)
+        recording, surface = "" if recorder is None else recorder.problem, self._surface.problem
+        problems = (self._waiting(), recording, self._reloads.problem, drift, surface)
         health.problem = "; ".join(filter(None, problems))
 
     def _waiting(self) -> str:
@@ -184,7 +191,11 @@ class Run:
         self._adviser.look()
         self._drift.look(lambda: time.sleep(BREATH_S))
 
-    def _loop(self, feed: Feed, smoothed: bool) -> None:
+    def _watch_surface(self, result: FrameResult) -> None:
+        """By the rig in force: it may be another by now."""
+        self._surface.add(result)
+
+    def _loop(self, feed: Feed, smoothed: bool, watched: Newest[FrameResult]) -> None:
         publisher, recorder = self.outlets.publisher, self.outlets.recorder
         tracks, motions, silent_s = Tracks.none(), Motions.none(), 0.0
         while not self.stop():
@@ -213,6 +224,8 @@ class Run:
             publisher.show_visible(located)
             self.health.add(frame, result, solved_ns, messages[-1].publish_ns)
             self._drift.add(result)
+            if self._surface.watches:
+                watched.give(result)
             messages += publisher.publish(self._events.add(result, frame.session), frame.session)
             if recorder is not None:
                 recorder.write(messages, frame.image, frame.exposed_ns, frame.index)
@@ -252,6 +265,7 @@ class Run:
         self.health.tally.change_robots(robot.id for robot in rig.robots)
         self._adviser = Adviser(rig, self.health.tally, say)
         self._drift = self._drift.with_rig(rig)
+        self._surface = SurfaceWatch(rig, say)
         if self.outlets.recorder is not None:
             self.outlets.recorder.take_rig(rig)
         for outlet in self.outlets.others:

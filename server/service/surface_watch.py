@@ -8,7 +8,7 @@ to the next tell.
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ from asterism.protocol.program import typed
 from asterism.protocol.rig import Rig
 from asterism.protocol.surface import Heights
 from asterism.protocol.surface_file import Stands
-from asterism.server.chain.frame import FrameResult
+from asterism.server.chain.frame import Frame, FrameResult
 from asterism.server.pose.solve import PoseEstimate
 from asterism.server.service.alarm import Alarm, Finding
 
@@ -105,6 +105,17 @@ class SurfaceWatch:
     def problem(self) -> str:
         """What is wrong now, as part of a sentence; empty where nothing is."""
         return self._alarm.problem
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it."""
+        return "" if self._alarm.raised is None else self._alarm.raised.remedy
+
+    def watched(self, located: Iterator[tuple[Frame, FrameResult]]) -> Iterator[tuple[Frame, FrameResult]]:
+        """The same frames, looked at."""
+        for frame, result in located:
+            self.add(result)
+            yield frame, result
 
     def add(self, result: FrameResult) -> None:
         """One more frame: says what begins to be wrong, and what no longer is."""

@@ -16,6 +16,7 @@ from asterism.server.pose.solve import PoseEstimate
 from asterism.server.service.misfit import Misfits
 
 BRIGHT = 250  # grey levels: a pixel that is as good as saturated
+ON_SURFACE = "ON_SURFACE"
 STEP = 8  # every so many rows and columns are looked at for the share of saturated pixels
 
 
@@ -58,6 +59,8 @@ class Blank:
 class _Robot:
     states: Counter[str] = field(default_factory=Counter)
     reasons: Counter[str] = field(default_factory=Counter)
+    standings: Counter[str] = field(default_factory=Counter)
+    off: dict[str, str] = field(default_factory=dict)  # by standing, the newest reason
 
 
 class Tally:
@@ -89,6 +92,9 @@ class Tally:
                 entry.states[answer.state] += 1
                 if not isinstance(answer, PoseEstimate):
                     entry.reasons[answer.reason] += 1
+                elif answer.surface is not None:
+                    entry.standings[answer.surface.standing] += 1
+                    entry.off[answer.surface.standing] = answer.surface.reason
             if found:
                 self.blank = None
                 return
@@ -145,6 +151,19 @@ class Tally:
 def _told(robot: _Robot) -> str:
     states = ("TRACKED", "TILT_AMBIGUOUS", "IDENTITY_AMBIGUOUS", "LOST")
     told = ", ".join(f"{robot.states[state]} {state}" for state in states if robot.states[state])
-    if not robot.reasons:
+    if robot.reasons:
+        told += f": {robot.reasons.most_common(1)[0][0]}"
+    return told + _surface(robot)
+
+
+def _surface(robot: _Robot) -> str:
+    """How many poses rest on the surface, and how many not, with the newest reason of the most frequent kind."""
+    if not robot.standings:
+        return ""
+    others = [(name, count) for name, count in robot.standings.most_common() if name != ON_SURFACE]
+    told = f"; {robot.standings[ON_SURFACE]} rest on the surface"
+    if not others:
         return told
-    return f"{told}: {robot.reasons.most_common(1)[0][0]}"
+    told += f", not {', '.join(f'{count} {name}' for name, count in others)}"
+    reason = robot.off[others[0][0]]
+    return f"{told}: {reason}" if reason else told

@@ -67,6 +67,7 @@ class Sighting:
     pose: Pose
     covariance: Floats
     alternative: Pose | None
+    without: Pose | None = None  # by light alone, where the pose rests on the surface too
 
 
 def observe(frames: Iterable[Frame], rig: Rig) -> Iterator[tuple[Frame, list[Sighting]]]:
@@ -94,6 +95,12 @@ def observe(frames: Iterable[Frame], rig: Rig) -> Iterator[tuple[Frame, list[Sig
                     T_camera_parent @ answer.pose,
                     turn @ answer.covariance @ turn.T,
                     None if other is None else T_camera_parent @ other.pose,
+                    _by_light(answer, T_camera_parent),
                 )
             )
         yield frame, sightings
+
+
+def _by_light(answer: PoseEstimate, T_camera_parent: Pose) -> Pose | None:
+    told = None if answer.surface is None else answer.surface.without
+    return None if told is None else T_camera_parent @ told
