@@ -11,7 +11,7 @@ from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import Rig
 from asterism.protocol.rig_files import UNCERTAINTY
 from asterism.server.budget.budget import COMPONENTS, LEAST_TILT, SOURCES, Light, sources_of
-from asterism.server.budget.plots import SCALES, UNITS, Plot
+from asterism.server.budget.plots import SCALES, SURFACE, UNITS, Plot
 from asterism.server.budget.standing import surface_sigmas
 from asterism.server.budget.truth import Bin, Compared
 from asterism.server.budget.uncertainty import Uncertainty
@@ -81,6 +81,8 @@ def page(
         "<h2>Against tilt</h2>",
         pictures["tilt.png"],
     ]
+    if SURFACE in pictures:
+        parts += ["<h2>The surface</h2>", pictures[SURFACE]]
     if measured is not None:
         parts += ["<h2>Measured beside predicted</h2>", *_measured(*measured), pictures["measured.png"]]
     return "\n".join([*parts, "</body></html>\n"])

@@ -13,11 +13,13 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from asterism.protocol.geometry import Floats
 from asterism.protocol.rig import Rig
 from asterism.server.budget.budget import COMPONENTS, LEAST_TILT
+from asterism.server.budget.surface_plot import CAPTION, draw_surface, surface_grid
 from asterism.server.budget.truth import Bin, Compared
 from asterism.server.budget.workspace import ALL_TILTS, Budget
 
 # Okabe and Ito (2008): told apart by the colour-blind as well.
 COLOURS = ("#0072B2", "#56B4E9", "#999999", "#D55E00", "#CC79A7", "#009E73", "#E69F00", "#B8A900", "#000080", "#8B4513")
+SURFACE = "surface.png"
 MARKS = "ovs^DPX*h<"
 UNITS = ("mm", "mm", "mm", "deg", "deg", "deg")
 SCALES = np.array([1e3, 1e3, 1e3, *[180.0 / np.pi] * 3])  # from m and rad
@@ -89,7 +91,18 @@ def plots_of(rig: Rig, budget: Budget, compared: Compared | None, bins: list[Bin
                 lambda sheet: _measured(sheet, compared, bins),
             )
         )
+    if (grid := surface_grid(rig.surface)) is not None:
+        plots.append(_plot(SURFACE, CAPTION, lambda sheet: _surface(sheet, grid)))
     return plots
+
+
+def _surface(sheet: Sheet, grid: tuple[Floats, Floats, Floats, Floats]) -> Figure:
+    """Heights and sigmas, side by side or one over the other."""
+    columns = min(sheet.columns, 2)
+    size = (sheet.width, 2 // columns * 0.75 * sheet.width / columns)
+    figure = Figure(figsize=size, layout="constrained")
+    draw_surface(figure, list(np.ravel(figure.subplots(2 // columns, columns))), grid)
+    return figure
 
 
 def _plot(name: str, caption: str, draw: Callable[[Sheet], Figure]) -> Plot:

@@ -15,6 +15,7 @@ from asterism.server.calibration.surface.residual_map import ResidualMap
 from asterism.server.calibration.surface.surface_fit import SurfaceFit
 
 DPI = 110
+WIDE = 16.0  # inches
 # Okabe and Ito (2008): told apart by the colour-blind as well.
 COLOURS = ("#D55E00", "#56B4E9", "#CC79A7", "#E69F00", "#000000", "#F0E442")
 NEVER = "#dddddd"
@@ -49,8 +50,8 @@ def _sheet(grid: Heights, count: int) -> tuple[Figure, list[Axes]]:
     x, y = grid.step * (np.array(grid.values.shape) - 1)
     columns = 2 if count == 4 else count
     rows = -(-count // columns)
-    width = 15.0 / columns
-    figure = Figure(figsize=(15.0, rows * (width * 0.78 * min(max(y / x, 0.35), 1.6) + 1.0)), layout="constrained")
+    width = WIDE / columns
+    figure = Figure(figsize=(WIDE, rows * (width * 0.78 * min(max(y / x, 0.35), 1.6) + 1.0)), layout="constrained")
     panels = list(np.ravel(figure.subplots(rows, columns, squeeze=False)))
     return figure, panels
 
@@ -71,9 +72,7 @@ def _heights(figure: Figure, panel: Axes, grid: Heights, fit: SurfaceFit) -> Non
         colour = COLOURS[robot % MOST_ROBOTS]
         panel.plot(*xy[mine].T, ".", markersize=2, color=colour, label=name if robot < MOST_ROBOTS else None)
     columns = min(len(fit.contacts.ids), MOST_ROBOTS)
-    panel.legend(
-        loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=columns, frameon=False, fontsize=8, markerscale=5
-    )
+    figure.legend(loc="outside lower left", ncols=columns, frameon=False, fontsize=9, markerscale=5)
     _finish(panel, grid, "heights, and where robots stood")
 
 
@@ -117,7 +116,7 @@ def _touches(figure: Figure, panel: Axes, fit: SurfaceFit) -> None:
     reach = max(float(np.nanpercentile(np.abs(mean), 98.0)), 1e-3)
     drawn = panel.pcolormesh(edges[0], edges[1], mean.T, cmap=OFF_MAP, vmin=-reach, vmax=reach, rasterized=True)
     figure.colorbar(drawn, ax=panel, shrink=0.85, label="touches above the surface, mm", extend="both")
-    _finish(panel, fit.map, f"touches, mean in cells of {1e3 * side:.2g} mm; RMS of each {1e3 * fit.rms_m:.3f} mm")
+    _finish(panel, fit.map, f"touches, mean in {1e3 * side:.2g} mm; each: {1e3 * fit.rms_m:.3f} mm RMS")
 
 
 def _never(panel: Axes, grid: Heights, visited: NDArray[np.bool_]) -> None:
