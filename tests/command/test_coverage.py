@@ -56,14 +56,13 @@ def test_two_days_are_joined_and_told(tmp_path: Path, capsys: pytest.CaptureFixt
         assert found["robot_passes"][0].max() == 2
 
 
-def test_the_tools_radius_can_be_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_tools_radius_can_be_said(tmp_path: Path) -> None:
     recording = driven(tmp_path, working_rig(1, FLAT, None))
-    run(recording, "--tool-radius", "0.02", "-o", tmp_path / "out")
-    assert "patches of 2.50 mm" in capsys.readouterr().out
-    length = SPEED * (FRAMES - 1) / RATE_HZ
-    with np.load(tmp_path / "out" / "coverage.npz") as found:
-        area = found["area_m2"][found["dwell_s"] > 0.0].sum()
-    assert area == pytest.approx(2 * 0.02 * length + math.pi * 0.02**2, rel=0.015)
+    for said, radius in ((None, 0.01), (0.02, 0.02)):
+        found, _ = coverage.added_up(days_of([recording], said)[0])
+        assert found.grid.pitch_m == pytest.approx(radius / 8)
+        length, area = SPEED * (FRAMES - 1) / RATE_HZ, found.grid.areas[found.together.visited].sum()
+        assert area == pytest.approx(2 * radius * length + math.pi * radius**2, rel=0.015)
 
 
 def refused(*folders: Path, radius_m: float | None = None) -> str:
