@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
     for day in passed:
         say(f"{day.path}: passed over, what was joined of its camera '{day.camera}' is there as well")
     warm_up(COVERAGE)
-    found, added = _added_up(days)
+    found, added = added_up(days)
     print_coverage(found, added)
     cameras = ", ".join(dict.fromkeys(day.camera for day in days))
     with new_folder(options.out, options.force) as out, working("drawing"):
@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _added_up(days: "list[Day]") -> "tuple[CoverageMap, list[Added]]":
+def added_up(days: "list[Day]") -> "tuple[CoverageMap, list[Added]]":
     """The map of all, and what each recording added to it."""
     from asterism.server.command.progress import working
     from asterism.server.coverage.accumulate import Coverage

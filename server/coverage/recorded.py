@@ -21,7 +21,8 @@ from asterism.server.coverage.report_bytes import Columns, records_of
 from asterism.server.coverage.sightings import Sighted, Tool, sighted
 from asterism.server.coverage.told import Looked, by_robot, told_in
 
-_CHUNKS_AT_ONCE = 8  # of one task: some 8 MB
+_CHUNKS_AT_ONCE = 32  # of one task: some 32 MB
+_AHEAD = 32  # tasks, so that nobody waits while what was read is added up
 _FRAMES_AT_ONCE = 30_000  # that are added together: adding copies the map
 _MESSAGE = 5  # MCAP's opcode
 
@@ -52,7 +53,7 @@ def add_recorded(coverage: Coverage, parts: Iterable[Part], show: Callable[[int]
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     with ThreadPoolExecutor(cores) as pool:
         waiting: list[Seen] = []
-        for seen in _in_order(_tasks(parts), pool, 2 * cores):
+        for seen in _in_order(_tasks(parts), pool, _AHEAD):
             show(_CHUNKS_AT_ONCE)
             waiting.append(seen)
             if sum(len(each.times_ns) for each in waiting) >= _FRAMES_AT_ONCE:

@@ -136,7 +136,7 @@ def _channels(rig: Rig) -> dict[str, Kind]:
         keys.frame(camera): FRAME_REPORT,
         keys.status(camera): STATUS,
         keys.event(camera): EVENT,
-        keys.coverage(camera): COVERAGE,
+        **({} if rig.surface is None else {keys.coverage(camera): COVERAGE}),
         keys.TRANSFORMS: TRANSFORMS,
         keys.calibration(camera): CALIBRATION,
         keys.annotations(camera): ANNOTATIONS,
