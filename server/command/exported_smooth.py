@@ -63,10 +63,13 @@ def _look(frame: ExportedFrame, rig: Rig, where: Path) -> Look:
     camera = None
     if frame.T_world_camera is not None and len(frame.camera_covariance) == 36:
         camera = frame.T_world_camera, np.array(frame.camera_covariance).reshape(6, 6)
-    stays = what_stays(Told(positions, covariances, own_px2, misfits), rig, camera)
+    by_spots = np.array([_by_spots(robot, whole) for robot, whole in zip(located, covariances, strict=True)])
+    stays = what_stays(Told(positions, covariances, own_px2, misfits, by_spots), rig, camera)
     axes = np.array([known[robot.id].T_robot_plane.rotation[:, 2] for robot in located])
     rotations = np.array([robot.pose.rotation for robot in located if robot.pose is not None])
-    leds = [tuple(sorted(robot.residuals_px)) for robot in located]
+    # With the surface what stays is another than without: as if other LEDs were seen.
+    rests = [robot.surface is not None and robot.surface.without is not None for robot in located]
+    leds = [(*sorted(robot.residuals_px), *[-1] * on) for robot, on in zip(located, rests, strict=True)]
     sight = Sight(positions, rotations, covariances - stays, axes)
     return Look(frame.exposed_ns, [robot.id for robot in located], Seen(sight, stays, leds))
 
@@ -78,3 +81,13 @@ def _covariance(robot: ExportedRobot, where: str) -> Floats:
         if np.linalg.eigvalsh(spread)[0] > 0.0:
             return spread
     raise InputError(f"{where}: {robot.id}: a covariance that is none, expected 36 numbers with variances above 0")
+
+
+def _by_spots(robot: ExportedRobot, covariance: Floats) -> Floats:
+    """Which part (6, 6) of a pose's covariance is the spots', nan where it rests on light alone: what the surface has
+    wrong is the same in the next frame. It is light's information, by the covariance of both.
+    """
+    if robot.surface is None or robot.surface.without is None:
+        return np.full((6, 6), np.nan)
+    light = np.linalg.inv(np.array(robot.surface.without[2]).reshape(6, 6))
+    return np.asarray(covariance @ light @ covariance, np.float64)

@@ -55,6 +55,7 @@ from asterism.server.pose.track import is_fresh
 TILT_DENIED = 28.7  # chi squared of both tilts together that is as unlikely as 5 sigma
 NO_TILT = 80.0  # chi squared of a tilt against the normal beyond which no pose with the surface is: odds of e^40
 SAME_START = math.radians(0.5)  # starts no further apart lead to one pose
+ASTRAY = 0.5  # of a robot's depth: a pose that went further than that arrived nowhere
 SETTLE = 3  # Gauss-Newton steps that bring shared errors in
 
 
@@ -115,10 +116,13 @@ def _refine_all(robot, solutions, k, underfoot, count, focal, work):
             denied = stance.weights[1] * (stance.off[1] ** 2 + stance.off[2] ** 2) > NO_TILT
             if denied or angle_between(rotation, work.rotations[2]) < SAME_START:
                 continue
-        lit = seen_of(work, count, work.room.information)
+        lit, away = seen_of(work, count, work.room.information), work.ts[2, 2]
         work.costs[which] = refine_standing(
             work.rotations[which], work.ts[which], lit, robot.optics, work.stance, underfoot, ITERATIONS, focal
         )
+        # Where light and surface contradict each other wholly, there may be no minimum to arrive at.
+        if not abs(work.ts[which, 2] - away) < ASTRAY * away:
+            work.costs[which] = NO_SOLUTION
 
 
 @compiled
@@ -301,6 +305,8 @@ def _stand(matched, alone, k, underfoot, mounts, history, work, stood):
     first, other, odds = _choose(robot, alone, k, underfoot, count, focal, work)
     if first < 0:
         history[:, :] = 0.0
+        stood.standing[k] = TILTED
+        _by_light(alone, k, underfoot, variance, work, stood)
         return
     fit = _finish(robot, first, underfoot, count, work)
     share = solutions.misfits[k, NOISE_SHARE]

@@ -247,7 +247,7 @@ NEEDY += [
     "coverage",
     "design",
     "report",
-    *(f"calibrate_{kind}" for kind in ("camera", "world", "leds", "offset", "point", "z")),
+    *(f"calibrate_{kind}" for kind in ("camera", "world", "leds", "offset", "point", "surface", "z")),
 ]
 
 

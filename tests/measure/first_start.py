@@ -45,7 +45,7 @@ from asterism.server.identity.neighbours import Spots
 from asterism.server.identity.plan import plan_for
 from asterism.server.kernel import Kernel
 from asterism.server.pose.lens import undistort
-from asterism.server.simulation.demo_rig import DEMO_RIG
+from asterism.server.simulation.demo_rig import DEMO_RIG, DEMO_WORKPIECE
 from asterism.server.simulation.simulate import Look, Scene
 from tests.rigs import make_rig
 from tests.servers import free_endpoint
@@ -58,6 +58,7 @@ def chain(estimator: str) -> None:
     for rig, look, frames in (
         (load_rig(DEMO_RIG), Look(hidden=0.05, glints=20), 12),
         (make_rig(6), Look(hidden=0.3, glints=60), 12),
+        (load_rig(DEMO_WORKPIECE), Look(hidden=0.05), 4),
     ):
         asked = replace(rig, centre=estimator)
         scene, tracks = Scene(rig, seed=2, look=look), Tracks.none()
