@@ -103,8 +103,10 @@ def _begin(which, underfoot, work):
 def _refine_all(robot, solutions, k, underfoot, count, focal, work):
     """Refine with the surface from the pose nearest to it, and from those minima that may lead elsewhere: which are
     neither near that pose, nor so far from the normal that the surface lets none of their kind be.
+
+    Returns whether one went astray: light and surface contradict each other so that there is no minimum to arrive at.
     """
-    stance = work.stance
+    stance, astray = work.stance, False
     for which in range(3):
         work.costs[which] = NO_SOLUTION
         if which < 2:
@@ -120,9 +122,9 @@ def _refine_all(robot, solutions, k, underfoot, count, focal, work):
         work.costs[which] = refine_standing(
             work.rotations[which], work.ts[which], lit, robot.optics, work.stance, underfoot, ITERATIONS, focal
         )
-        # Where light and surface contradict each other wholly, there may be no minimum to arrive at.
-        if not abs(work.ts[which, 2] - away) < ASTRAY * away:
-            work.costs[which] = NO_SOLUTION
+        if work.costs[which] < NO_SOLUTION and not abs(work.ts[which, 2] - away) < ASTRAY * away:
+            work.costs[which], astray = NO_SOLUTION, True
+    return astray
 
 
 @compiled
@@ -301,12 +303,13 @@ def _stand(matched, alone, k, underfoot, mounts, history, work, stood):
     least, tilt, tilt_sigma = light_alone(robot, solutions, k, underfoot, count, work)
     offs[TILT], offs[TILT_SIGMA] = tilt, tilt_sigma
     _begin(best, underfoot, work)
-    _refine_all(robot, solutions, k, underfoot, count, focal, work)
+    astray = _refine_all(robot, solutions, k, underfoot, count, focal, work)
     first, other, odds = _choose(robot, alone, k, underfoot, count, focal, work)
     if first < 0:
         history[:, :] = 0.0
-        stood.standing[k] = TILTED
-        _by_light(alone, k, underfoot, variance, work, stood)
+        if astray:
+            stood.standing[k] = TILTED
+            _by_light(alone, k, underfoot, variance, work, stood)
         return
     fit = _finish(robot, first, underfoot, count, work)
     share = solutions.misfits[k, NOISE_SHARE]
