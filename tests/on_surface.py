@@ -90,5 +90,6 @@ def frame_at(
     truth = [Truth(name, T_camera_world @ pose, (lit or {}).get(name, (True,) * 6)) for name, pose in poses.items()]
     ordered = sorted(truth, key=lambda entry: [robot.id for robot in rig.robots].index(entry.robot))
     assert len(ordered) == len(rig.robots), "the scene draws every robot of the rig"
-    image = Scene(rig, seed, look).render(index, ordered)
+    # Where they are is told, on a surface or off it.
+    image = Scene(replace(rig, surface=None), seed, look).render(index, ordered)
     return Frame(image, exposed_ns=(index + 1) * 16_666_667, index=index)
