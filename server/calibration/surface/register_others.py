@@ -42,10 +42,14 @@ def others_of(
     which, drawing, laid = best
     some = thinned(contacts[laid.used], TOUCHES)
     least = _chi2(drawing, laid.T_world_drawing, some, laid, prior)
-    told = np.linalg.inv(laid.joint.covariance[:6, :6]) - prior.information
+    # Rivals rest on few touches, and are as far from the best as these tell: that is measured from the best of them.
+    ranked = sorted(rivals, key=lambda rival: rival[2].cost)
+    share = min(1.0, len(ranked[0][2].left.off) / int(laid.used.sum()))
+    told = share * (np.linalg.inv(laid.joint.covariance[:6, :6]) - prior.information)
+    first = next(fit.T_world_drawing for k, _, fit in ranked if k == which)
     found: list[Other] = []
-    for k, heights, fit in sorted(rivals, key=lambda rival: rival[2].cost):
-        away = between(drawing, laid.T_world_drawing, fit.T_world_drawing)
+    for k, heights, fit in ranked:
+        away = between(drawing, first, fit.T_world_drawing)
         same = k == which and (away @ told @ away < APART or np.abs(away).max() < BESIDE)
         if same or any(k == one.which and _beside(heights, one.T_world_drawing, fit.T_world_drawing) for one in found):
             continue

@@ -23,6 +23,7 @@ def mapped(shape: Shape, rng: np.random.Generator) -> tuple[ResidualMap, tuple[S
     xy, robots = drives(rng, 5, 240)
     contacts = touches_on(shape, xy, robots, rng, LIES, NOISE, offset_m=1e-5)
     found = register([Placed(drawing_of(free_form))], contacts, np.ones(len(contacts), np.bool_), 1e-5, "mould.stl")
+    assert not found.others  # the same place found from elsewhere is no other, however many touches tell of it
     differs = residual_map(found)
     made = (make(found, differs) for make in (as_it_is, as_drawn))
     first, second = (Surface(heights, found.T_world_drawing) for heights in made)
