@@ -56,7 +56,9 @@ def expected() -> set[str]:
     # The client in C is compiled from the repository: Python's package has no use for it.
     ours = {path for path in tracked() if path.parts[0] in FOLDERS and path.parts[:2] != ("clients", "c")}
     source = {
-        f"asterism/{path}" for path in ours if path.suffix in (".py", ".pyi", ".proto", ".yaml", ".bin", ".json", ".md")
+        f"asterism/{path}"
+        for path in ours
+        if path.suffix in (".py", ".pyi", ".proto", ".yaml", ".bin", ".json", ".md", ".csv")
     }
     return source | {"asterism/__init__.py", "asterism/__main__.py", "asterism/py.typed"}
 

@@ -11,7 +11,7 @@ from asterism.protocol.errors import InputError
 from asterism.protocol.geometry import Floats
 from asterism.protocol.heights_file import heights_text
 from asterism.protocol.rig import Rig, Robot, load_rig, parse_rig
-from asterism.protocol.surface import HEIGHTS
+from asterism.protocol.surface import Heights
 from asterism.protocol.yaml_file import parse_yaml
 from asterism.recordings.export.lines import SUFFIX
 from asterism.recordings.reader import Recording
@@ -218,7 +218,7 @@ def write_surface(
     files = {**rig.files, **({rig.robots_name: texts.robots} if rig.robots_name else {}), name: heights}
     parse_rig(texts.text, rig.camera_text, str(options.out), rig.offset_texts, files)
     lines = []
-    if fit.kind == HEIGHTS:
+    if isinstance(fit.surface.shape, Heights):
         old = write_result_file(table, heights, options.force)
         lines.append(f"written: {table}" + (f"; the old one is kept as {old}" if old else ""))
     lines += told_of(texts.write(options.out, options.force), rig)

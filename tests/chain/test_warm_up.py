@@ -261,6 +261,7 @@ def test_every_command_that_needs_kernels_warms_up(command: str) -> None:
 # example writes a camera.yaml as calibrations do; the others do what the needy ones work with.
 PARTS = ["example", "cameras", "exported_smooth", "fitted_rig", "foreign_camera", "joined", "outlets", "simulated_film"]
 PARTS += ["example_cameras", "placed_rigs", "recorded_film", "batch_films", "batch_progress", "fused_line", "__init__"]
+PARTS += ["example_surface", "registered_surface"]
 
 
 def test_other_commands_stay_light() -> None:

@@ -82,11 +82,13 @@ def _map(fit: Fitted, visited: Visited) -> tuple[Heights, float]:
 def _surface(
     fit: Fitted, best: Tried, kept: Touches, where: tuple[Pose, Visited], sigmas: tuple[Heights, float]
 ) -> Surface:
+    """A spline is a table, and so is what no polygon goes about."""
     (frame, visited), (grid, tilt_sigma) = where, sigmas
-    if fit.shape.kind == HEIGHTS:
+    edge = None if fit.shape.kind == HEIGHTS else visited.outline()
+    if edge is None:
         return Surface(grid, frame, 0.0, tilt_sigma)
     sigma = float(np.sqrt(np.nanmean(grid.sigmas**2)))
-    return Surface(_quadric(fit, best, kept), frame, sigma, tilt_sigma, visited.outline())
+    return Surface(_quadric(fit, best, kept), frame, sigma, tilt_sigma, edge)
 
 
 def _quadric(fit: Fitted, best: Tried, kept: Touches) -> Quadric:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from asterism.protocol.geometry import Floats
+from asterism.protocol.surface import crossing
 
 GAP_M = 0.03  # between two ways: what is narrower is no hole
 MARGIN_M = 0.005  # about where touches were
@@ -39,9 +40,10 @@ class Visited:
         near = np.ones(shape, np.bool_)
         i, j = np.rint((xy - low) / step).astype(np.int64).T
         near[i, j] = False
-        around = distance_transform_edt(near) * step <= 0.5 * GAP_M
+        reach = 0.5 * GAP_M + step / np.sqrt(2.0)  # touches are taken to the nearest node
+        around = distance_transform_edt(near) * step <= reach
         inside = distance_transform_edt(around) * step
-        there = inside > 0.5 * GAP_M - MARGIN_M
+        there = inside > reach - MARGIN_M
         return Visited(low, step, np.asarray(there, np.bool_)).cropped()
 
     def cropped(self) -> "Visited":
@@ -50,19 +52,14 @@ class Visited:
         i0, i1, j0, j1 = i.min(), i.max() + 1, j.min(), j.max() + 1
         return Visited(self.origin + self.step * np.array([i0, j0]), self.step, self.there[i0:i1, j0:j1])
 
-    def outline(self) -> Floats:
-        """One polygon (k, 2) m about it: rings about every part and hole, joined by lines that are gone there and back,
-        which a ray crosses twice.
-        """
+    def outline(self) -> Floats | None:
+        """The polygon (k, 2) m about it; None where it is in parts, has holes, or is so narrow that no polygon tells it."""
         import cv2
 
         padded = np.pad(self.there.astype(np.uint8), 1)
         found, _ = cv2.findContours(padded, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-        rings = [cv2.approxPolyDP(ring, 0.5, True).reshape(-1, 2)[:, ::-1] - 1 for ring in found]
-        rings = sorted((ring for ring in rings if len(ring) >= 3), key=len, reverse=True)
-        if not rings:
-            return np.zeros((0, 2))
-        joined = [np.concatenate([ring, ring[:1]]) for ring in rings]
-        back = [ring[:1] for ring in rings[-2::-1]] if len(rings) > 1 else []
-        places: Floats = self.origin + self.step * np.concatenate([*joined, *back]).astype(np.float64)
-        return places
+        if len(found) != 1:
+            return None
+        ring = cv2.approxPolyDP(found[0], 0.5, True).reshape(-1, 2)[:, ::-1] - 1
+        places: Floats = self.origin + self.step * ring.astype(np.float64)
+        return places if len(ring) >= 3 and crossing(places) is None else None

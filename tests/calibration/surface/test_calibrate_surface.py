@@ -9,8 +9,9 @@ import pytest
 
 from asterism.protocol.geometry import Pose
 from asterism.protocol.rig import load_rig
-from asterism.protocol.surface import Heights
+from asterism.protocol.surface import Heights, within
 from asterism.server.__main__ import main
+from asterism.server.calibration.surface.visited import Visited
 from tests.calibration.surface.driven import Driven, Ground, bowl, bumps, drive, located, upright, ways
 from tests.command.test_command_line import refused
 from tests.on_surface import TOOL
@@ -73,7 +74,7 @@ def test_a_bumpy_surface_is_written_with_what_it_is_worth(tmp_path: Path, capsys
     assert load_rig(out).surface is not None
 
 
-def test_a_quadric_keeps_its_edge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_quadric_keeps_its_edge_and_holes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig, lines = written(tmp_path, drive(bowl, seconds=40.0, rate_hz=5.0))
     out = tmp_path / "rig2.yaml"
     assert main(["calibrate", "surface", str(rig), str(lines), "-o", str(out)]) == 0
@@ -85,7 +86,8 @@ def test_a_quadric_keeps_its_edge(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert np.abs(ground.heights - bowl(places)[0]).max() < 0.05e-3
     assert ground.inside.mean() > 0.7  # ways are 24 mm from touch to touch
     assert not surface.ground(np.array([[0.4, 0.0], [0.0, -0.3]])).inside.any()
-    assert not (tmp_path / "rig2.surface.csv").exists()
+    # What no polygon goes about is told by a table.
+    assert isinstance(surface.shape, Heights) == (tmp_path / "rig2.surface.csv").exists()
 
 
 def ground_of(kind: str) -> tuple[Ground, Driven]:
@@ -137,3 +139,13 @@ def test_bad_arguments_are_refused_before_the_work(tmp_path: Path, capsys: pytes
     assert "'zulu': is not in the rig, expected one of r00, r01" in told("--point", "foot")
     rig.write_text("".join(line for line in rig.read_text().splitlines(True) if not line.startswith("world")))
     assert "has no `world`, the pose of the camera in the world" in told("--point", "foot")
+
+
+def test_a_polygon_goes_about_what_is_in_one_piece() -> None:
+    places = np.stack(np.meshgrid(np.arange(0.0, 0.2, 0.004), np.arange(0.0, 0.1, 0.004)), axis=-1).reshape(-1, 2)
+    edge = Visited.by(places).outline()
+    assert edge is not None
+    assert within(edge, places).all()
+    assert not within(edge, np.array([[0.23, 0.05], [0.1, -0.03]])).any()
+    assert Visited.by(places[np.linalg.norm(places - [0.1, 0.05], axis=1) > 0.03]).outline() is None  # a hole
+    assert Visited.by(np.concatenate([places, places + 0.5])).outline() is None  # two parts
