@@ -83,7 +83,7 @@ def test_a_quadric_keeps_its_edge_and_holes(tmp_path: Path, capsys: pytest.Captu
     assert surface is not None
     places = np.random.default_rng(5).uniform([-0.24, -0.17], [0.24, 0.17], (500, 2))
     ground = surface.ground(places)
-    assert np.abs(ground.heights - bowl(places)[0]).max() < 0.05e-3
+    assert np.abs(ground.heights - bowl(places)[0])[ground.inside].max() < 0.05e-3
     assert ground.inside.mean() > 0.7  # ways are 24 mm from touch to touch
     assert not surface.ground(np.array([[0.4, 0.0], [0.0, -0.3]])).inside.any()
     # What no polygon goes about is told by a table.
