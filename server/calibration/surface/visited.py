@@ -53,7 +53,7 @@ class Visited:
         return Visited(self.origin + self.step * np.array([i0, j0]), self.step, self.there[i0:i1, j0:j1])
 
     def outline(self) -> Floats | None:
-        """The polygon (k, 2) m about it; None where it is in parts, has holes, or is so narrow that no polygon tells it."""
+        """The polygon (k, 2) m about it; None where it is in parts, has holes, or is too narrow for one."""
         import cv2
 
         padded = np.pad(self.there.astype(np.uint8), 1)
