@@ -27,6 +27,7 @@ NEWEST = 20  # frames of a robot that are judged
 FEWEST = 3
 FORGOTTEN_NS = 2_000_000_000  # a robot that has not been over the surface for so long has no say
 SURE = 33.0  # chi squared of three numbers: as improbable as 5 sigma of one
+WITHOUT = 16.3  # chi squared that is left whichever robot is not heard: once in a thousand times by chance
 ODD = 22.0  # of a robot that does not agree with the others: 4 sigma
 SETTLED = 10  # frames before the newest, after which a robot that is off alone may be one that was lifted
 BEFORE = 4.0  # frames that believing light's own sigma counts as, beside what changes tell
@@ -122,7 +123,7 @@ class SurfaceWatch:
         if not self.watches or not self._take(result):
             return
         fit = self._agreed(result.exposed_ns)
-        if fit is None or fit.chi2 < SURE:
+        if fit is None:
             self._began_ns = 0 if self._alarm.raised is None else self._began_ns
             self._alarm.look(None, self._say)
             return
@@ -177,7 +178,7 @@ class SurfaceWatch:
         return Sight(xy, np.array([told.off_m, *slope]), np.sqrt(np.maximum([off2, tilt2, tilt2], least)))
 
     def _agreed(self, now_ns: int) -> Fit | None:
-        """What most robots agree on, if they do; None where too few tell."""
+        """What is wrong with the surface, most robots agree; None where they do not."""
         told = [
             _mean(robot, mine)
             for robot, mine in self._robots.items()
@@ -187,10 +188,16 @@ class SurfaceWatch:
         while told and 2 * len(told) > counted:
             fit, oddest, odd = self._fit(told)
             if odd < ODD:
-                lifted = len(told) == 1 and self._robots[told[0].robot].was_elsewhere(told[0].off)
-                return None if lifted else fit
+                return fit if fit.chi2 >= SURE and self._stands_up(told) else None
             del told[oddest]
         return None
+
+    def _stands_up(self, told: list[Told]) -> bool:
+        """Whether it is no single robot's word that it rests on: one that is lifted."""
+        if len(told) == 1:
+            return not self._robots[told[0].robot].was_elsewhere(told[0].off)
+        others = ([*told[:k], *told[k + 1 :]] for k in range(len(told)))
+        return all(self._fit(rest)[0].chi2 >= WITHOUT for rest in others)
 
     def _fit(self, told: list[Told]) -> tuple[Fit, int, float]:
         """The three numbers, who agrees least with them, and by how much, chi squared."""

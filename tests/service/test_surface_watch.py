@@ -115,6 +115,17 @@ def test_nothing_is_said_of_a_good_surface_nor_of_robots_that_are_lifted(rng: np
     assert said_in(SurfaceWatch(alone, words.append), words, film(alone, truth, 60, rng)) == 0
 
 
+@pytest.mark.parametrize("robots", [2, 3, 4])
+@pytest.mark.parametrize("lift_m", [3e-4, 1e-3, 5e-3])
+def test_one_robot_that_is_lifted_is_no_surface_that_is_wrong(
+    robots: int, lift_m: float, rng: np.random.Generator
+) -> None:
+    words: list[str] = []
+    rig = rig_on(robots=robots)
+    truth = standing(rig, rng, lambda index, k: lift_m if k == 0 and 15 <= index < 40 else 0.0)
+    assert said_in(SurfaceWatch(rig, words.append), words, film(rig, truth, 70, rng)) == 0, words
+
+
 def test_what_robots_have_in_common_is_known_no_better_than_the_rig_says(rng: np.random.Generator) -> None:
     """Half a millimetre is much against the light of many frames, and nothing against a surface known to 0.4 mm."""
     rig = rig_on()
