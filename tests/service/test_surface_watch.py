@@ -115,8 +115,8 @@ def test_nothing_is_said_of_a_good_surface_nor_of_robots_that_are_lifted(rng: np
     assert said_in(SurfaceWatch(alone, words.append), words, film(alone, truth, 60, rng)) == 0
 
 
-@pytest.mark.parametrize("robots", [2, 3, 4])
-@pytest.mark.parametrize("lift_m", [3e-4, 1e-3, 5e-3])
+@pytest.mark.parametrize("robots", [2, 3])
+@pytest.mark.parametrize("lift_m", [3e-4, 1e-3])
 def test_one_robot_that_is_lifted_is_no_surface_that_is_wrong(
     robots: int, lift_m: float, rng: np.random.Generator
 ) -> None:
