@@ -68,9 +68,6 @@ def set_vector(target: "pb.Vector3", vector: Floats) -> None:
     target.SetInParent()
 
 
-# Odometry: one robot, one frame.
-
-
 def encode_odometry(told: RobotPose) -> bytes:
     """foxglove.Odometry."""
     message = Odometry(timestamp=timestamp(told.exposed_ns), frame_id=told.frame_id, body_frame_id=told.robot)

@@ -22,8 +22,8 @@ class Indexed(NamedTuple):
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
-        """First and last time of its messages; None where there is none that has one."""
-        spans = [chunk for chunk in self.chunks if chunk.first_ns]
+        """First and last time of its messages; None where there is none that has one. Films count from 0."""
+        spans = [chunk for chunk in self.chunks if chunk.last_ns]
         if not spans:
             return None
         return min(chunk.first_ns for chunk in spans), max(chunk.last_ns for chunk in spans)

@@ -7,7 +7,7 @@ from html import escape
 from asterism import __version__
 from asterism.server.coverage.pictures import Picture
 from asterism.server.coverage.regions import LEAST_OVERWORKED, OVERWORKED, Region, Regions, median_dwell
-from asterism.server.coverage.summary import Summary, area, mean_speed, time, visited_m2, when
+from asterism.server.coverage.summary import Summary, area, began, mean_speed, time, visited_m2, when
 from asterism.server.coverage.visits import REASONS, Visits
 
 SHOWN = 50  # regions of a list; all of them are in its file
@@ -88,7 +88,9 @@ def _essence(told: Summary) -> str:
         much = f"{part}{area(visited)} of {area(whole)}."
     else:
         much = f"<b>{area(visited)}</b> was under a tool; the surface has no end of its own, so no share can be told."
-    times = f"{escape(when(covered.since_ns))} to {escape(when(covered.until_ns))}" if covered.since_ns else "no frames"
+    times = (
+        f"{escape(began(covered.since_ns))} to {escape(when(covered.until_ns))}" if covered.until_ns else "no frames"
+    )
     radii = sorted({visits.radius_m for visits in covered.robots.values()})
     discs = " to ".join(f"{radius * 1e3:.3g}" for radius in dict.fromkeys((radii[0], radii[-1])))
     return (
@@ -121,7 +123,7 @@ def _counts(robot: str, visits: Visits, reasons: Iterable[str]) -> tuple[str, ..
 
 def _recordings(told: Summary) -> str:
     rows = [
-        (each.name, when(each.since_ns), when(each.until_ns), area(each.over_m2), area(each.new_m2),
+        (each.name, began(each.since_ns), when(each.until_ns), area(each.over_m2), area(each.new_m2),
          time(each.counted_s), str(each.left_out))
         for each in told.added
     ]  # fmt: skip

@@ -58,6 +58,11 @@ def when(time_ns: int) -> str:
     return f"{datetime.fromtimestamp(time_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC"
 
 
+def began(time_ns: int) -> str:
+    """The same of a beginning: films count from 0."""
+    return when(time_ns) if time_ns else "0 s"
+
+
 def area(m2: float) -> str:
     """For people."""
     return f"{m2:.3f} m²" if m2 >= 0.1 else f"{m2 * 1e4:.1f} cm²"

@@ -189,3 +189,11 @@ def test_an_empty_map_and_one_of_a_single_patch_are_pages_too(tmp_path: Path) ->
         Parsed(page(summary, pictures, []))
         assert len(list(patches_csv(summary))) == 1 + covered.grid.inside.sum()
     write_rrd(Summary.of("demo", empty, []), tmp_path / RRD)
+
+
+def test_a_film_counts_from_nought(written: tuple[Summary, Path]) -> None:
+    summary, _ = written
+    film = replace(summary, covered=replace(summary.covered, since_ns=0, until_ns=24_900_000_000))
+    assert "0 s to 24.90 s" in Parsed(page(film, pictures_of(film), [])).words
+    nothing = replace(summary, covered=replace(summary.covered, since_ns=0, until_ns=0))
+    assert "no frames" in Parsed(page(nothing, pictures_of(nothing), [])).words

@@ -16,11 +16,12 @@ from asterism.protocol.surface import Heights, Surface
 from asterism.server.calibration.surface.register import Registration
 from asterism.server.calibration.surface.register_field import matern
 from asterism.server.calibration.surface.register_left import extent_of, moves
+from asterism.server.calibration.surface.visited import GAP_M
 
 MOST_NODES = 5000
 FINEST_M = 0.002
 CHANCE = 0.01  # that anywhere a difference is called one that is none
-REACH = 1.5  # patches from touches within which a place was visited
+REACH = 1.5  # patches from touches within which a place was visited, if that is not between two ways
 LEAST_SIGMA_M = 1e-6
 
 
@@ -66,7 +67,7 @@ def residual_map(found: Registration) -> ResidualMap:
     places = found.T_world_drawing.map(np.column_stack([xy, ground.heights]))
     normals = ground.normals @ found.T_world_drawing.rotation.T
     values, own, slopes = _posterior(found, places, normals, counts, steps)
-    reach = REACH * max(laid.units.size_m, FINEST_M)
+    reach = max(REACH * max(laid.units.size_m, FINEST_M), 0.5 * GAP_M)
     away = cKDTree(laid.left.xy[laid.used]).query(xy, distance_upper_bound=reach)[0]
     there = Surface(drawing).ground(xy).inside
     sigmas, totals = (np.where(there, np.sqrt(np.maximum(part, 0.0)), np.nan).reshape(counts) for part in own)
