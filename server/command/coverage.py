@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from asterism.server.coverage.visits import CoverageMap
 
 EXAMPLES = (
-    "asterism coverage RECORDING -o coverage\n"
-    "asterism coverage monday tuesday --tool-radius 0.015 -o coverage\n"
-    "asterism coverage recordings -o coverage\n"
+    "asterism coverage RECORDING -o map\n"
+    "asterism coverage monday tuesday --tool-radius 0.015 -o map\n"
+    "asterism coverage recordings -o map\n"
 )
 
 
