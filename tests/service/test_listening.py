@@ -89,6 +89,19 @@ def heard(recording: Recording) -> Heard:
     return keyed
 
 
+def assert_same(listened: Heard, told: Heard) -> None:
+    """The same in the same order, but that poses of a burst may be dropped on their way, as they may anywhere: the
+    report of their frame is not, and holds them.
+    """
+    assert listened.keys() == told.keys()
+    for key, messages in listened.items():
+        if keys.robot_of(key) is None:
+            assert messages == told[key]
+        else:
+            coming = iter(told[key])
+            assert all(message in coming for message in messages), f"{key}: what was never told, or in another order"
+
+
 def ended(recording: "subprocess.Popen[str]") -> tuple[int, str]:
     """Ctrl-C, and what it said."""
     recording.send_signal(signal.SIGINT)
@@ -118,7 +131,7 @@ def test_a_listener_records_the_very_bytes_that_servers_record(
     folders = sorted((tmp_path / "heard").iterdir(), key=lambda folder: (len(folder.name), folder.name))
     for folder, other in zip(folders, (own, second), strict=True):
         listened = Recording(folder)
-        assert heard(listened) == heard(other)
+        assert_same(heard(listened), heard(other))
         assert compare(listened, other).within(0.0, 0.0)
         assert encode_rig(listened.rig()) == encode_rig(other.rig())
         assert any(message.kind.schema == STATUS.schema for message in listened.messages())
