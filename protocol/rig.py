@@ -24,6 +24,7 @@ from asterism.protocol.rig_hints import (
     in_metres,
     refuse_millimetres,
 )
+from asterism.protocol.rig_pose import read_pose
 from asterism.protocol.sensor_part import captured
 from asterism.protocol.surface import Surface
 from asterism.protocol.surface_file import Stands, read_stands, read_surface
@@ -253,17 +254,7 @@ def _masks(section: Section, camera: Camera) -> tuple[tuple[int, int, int, int],
 def _world(section: Section) -> tuple[Pose, bool]:
     section.only(("position", "orientation", "follow"), WORLD_WORDS)
     follows = section.boolean("follow") if "follow" in section else False
-    return _pose(section, "x, y, z of the camera in the world, m"), follows
-
-
-def _pose(section: Section, what: str) -> Pose:
-    position = section.numbers("position", 3, what)
-    refuse_millimetres(section, "position", position)
-    quat = section.numbers("orientation", 4, "the quaternion x, y, z, w")
-    length = float(np.linalg.norm(quat))
-    if abs(length - 1.0) > 1e-3:
-        raise section.error("orientation", f"a quaternion of length {length:g}, expected x, y, z, w of length 1")
-    return Pose(np.array(position), np.array(quat))
+    return read_pose(section, "x, y, z of the camera in the world, m"), follows
 
 
 def _fixed(section: Section, T_world_camera: Pose | None) -> Pose:
@@ -274,7 +265,7 @@ def _fixed(section: Section, T_world_camera: Pose | None) -> Pose:
             "world --fixed (one camera) or calibrate cameras (several) has found it",
         )
     section.only(("position", "orientation"), WORLD_WORDS)
-    return _pose(section, "x, y, z of the constellation in the world, m")
+    return read_pose(section, "x, y, z of the constellation in the world, m")
 
 
 def _robot(

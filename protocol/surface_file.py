@@ -29,6 +29,7 @@ from asterism.protocol.geometry import Floats, Pose, frozen_array
 from asterism.protocol.heights_file import parse_heights
 from asterism.protocol.rig_files import Named
 from asterism.protocol.rig_hints import STANDS_WORDS, SURFACE_WORDS, refuse_millimetres
+from asterism.protocol.rig_pose import read_pose
 from asterism.protocol.surface import HEIGHTS, PLANE, QUADRIC, STL, TERMS, Heights, Quadric, Surface, crossing
 from asterism.protocol.yaml_file import Section
 
@@ -84,7 +85,11 @@ def read_surface(section: Section, named: Named) -> tuple[Surface, dict[str, str
 
 
 def _surface(section: Section, shape: Quadric | Heights) -> Surface:
-    frame = _frame(section.section("frame")) if "frame" in section else Pose.identity()
+    frame = Pose.identity()
+    if "frame" in section:
+        inner = section.section("frame")
+        inner.only(("position", "orientation"))
+        frame = read_pose(inner, "x, y, z of the surface's frame in the world, m")
     sigma = _sigma(section) if "sigma" in section else 0.0
     tilt = _tilt(section) if "tilt_sigma_deg" in section else 0.0
     edge = np.array(
@@ -163,17 +168,6 @@ def _quadric(section: Section) -> Quadric:
     if not np.abs(values[[3, 6, 8, 9]]).any():
         raise terms.error(None, "no z is among them, expected a sum that grows out of the material, for example z: 1")
     return Quadric(values, np.zeros(3) if about is None else about)
-
-
-def _frame(section: Section) -> Pose:
-    section.only(("position", "orientation"))
-    position = section.numbers("position", 3, "x, y, z of the surface's frame in the world, m")
-    refuse_millimetres(section, "position", position)
-    quat = section.numbers("orientation", 4, "the quaternion x, y, z, w")
-    length = float(np.linalg.norm(quat))
-    if abs(length - 1.0) > 1e-3:
-        raise section.error("orientation", f"a quaternion of length {length:g}, expected x, y, z, w of length 1")
-    return Pose(np.array(position), np.array(quat))
 
 
 def _sigma(section: Section, above: float = 0.0) -> float:

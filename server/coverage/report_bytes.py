@@ -101,10 +101,7 @@ def _report(data, at, end, robots, columns, n, scratch):
     """Read one report; False: it is odd."""
     guess = 0
     while at < end:
-        number, kind, at = _tag(data, at, end)
-        if at < 0:
-            return False
-        value, begin, at = _value(data, at, end, kind)
+        number, kind, value, begin, at = _field(data, at, end)
         if at < 0:
             return False
         if number == 2:
@@ -127,10 +124,7 @@ def _robot(data, at, end, robots, columns, n, more):
     who, state, standing = -2, np.int64(0), np.int64(0)
     posed, spread, stands = False, False, False
     while at < end:
-        number, kind, at = _tag(data, at, end)
-        if at < 0:
-            return -1
-        value, begin, at = _value(data, at, end, kind)
+        number, kind, value, begin, at = _field(data, at, end)
         if at < 0:
             return -1
         if number == 1:
@@ -191,10 +185,7 @@ def _pose(data, at, end, scratch):
     scratch.bytes7[:] = 0
     seen = 0
     while at < end:
-        number, kind, at = _tag(data, at, end)
-        if at < 0:
-            return False
-        _, begin, at = _value(data, at, end, kind)
+        number, kind, _, begin, at = _field(data, at, end)
         if at < 0:
             return False
         if number in (1, 2):
@@ -212,10 +203,7 @@ def _doubles(data, at, end, into, offset):
     """Read the fields 1, 2, ... of a vector or quaternion; False: it is odd."""
     most = 3 if offset == 0 else 4
     while at < end:
-        number, kind, at = _tag(data, at, end)
-        if at < 0:
-            return False
-        _, begin, at = _value(data, at, end, kind)
+        number, kind, _, begin, at = _field(data, at, end)
         if at < 0:
             return False
         if 1 <= number <= most:
@@ -230,10 +218,7 @@ def _standing(data, at, end):
     """How a robot stands on the surface; -1: it is odd."""
     standing = np.int64(0)
     while at < end:
-        number, kind, at = _tag(data, at, end)
-        if at < 0:
-            return np.int64(-1)
-        value, _, at = _value(data, at, end, kind)
+        number, kind, value, _, at = _field(data, at, end)
         if at < 0:
             return np.int64(-1)
         if number == 1:
@@ -272,6 +257,16 @@ def _point(scratch, lever, point, covariance):
                 total += half[i, k] * jacobian[j, k]
             covariance[at] = total
             at += 1
+
+
+@compiled
+def _field(data, at, end):
+    """The next field: its number and kind, and what `_value` says of it; -1 where it is not whole."""
+    number, kind, at = _tag(data, at, end)
+    if at < 0:
+        return 0, 0, np.int64(0), -1, -1
+    value, begin, at = _value(data, at, end, kind)
+    return number, kind, value, begin, at
 
 
 @compiled

@@ -66,15 +66,6 @@ class Visits:
         direction: Floats = np.where(self.visited, np.arctan2(self.shift_m[..., 1], self.shift_m[..., 0]), np.nan)
         return direction
 
-    @property
-    def straightness(self) -> Floats:
-        """(rows, columns) how much `direction` says: 1 where the tool always went the same way, 0 where it went to and
-        fro or all about; nan where it did not go.
-        """
-        with np.errstate(invalid="ignore"):
-            straight: Floats = np.hypot(self.shift_m[..., 0], self.shift_m[..., 1]) / self.path_m
-        return straight
-
     def on(self, old: Box, new: Box) -> "Visits":
         """The same on a grid whose box is a larger one."""
         rows, columns = old.within(new)

@@ -20,8 +20,7 @@ from asterism.protocol.geometry import Floats, Pose
 from asterism.protocol.rig import Rig
 from asterism.server.compiled import compiled
 from asterism.server.pose.ground import ZX, ZXX, ZXY, ZY, ZYY, Terrain, touch, touching_room
-from asterism.server.pose.planar import CONVERGED, NO_SOLUTION, cholesky_solve, normal_equations, pose_cost
-from asterism.server.pose.rotations import exp_into, product_into
+from asterism.server.pose.planar import CONVERGED, NO_SOLUTION, damped_step, normal_equations, pose_cost
 from asterism.server.pose.spot_shift import CORRECTIONS, STANDS_STILL_PX, correct_rays, has_shift
 
 ALONG_X = 0.9  # a normal nearer to the camera's x axis has its tilts told along y
@@ -217,14 +216,9 @@ def _refine(rotation, t, lit, stance, underfoot, iterations):
     for _ in range(iterations):
         normal_equations(rotation, t, lit.points, lit.seen, lit.information, a, b)
         add_stance(stance, True, a, b)
-        for j in range(6):
-            a[j, j] *= 1.0 + damping
-        if not cholesky_solve(a, b):
+        if not damped_step((a, b), damping, rotation, t, step, new_rotation, new_t):
             damping = damping * 10.0 + 1e-3
             continue
-        exp_into(b[3], b[4], b[5], step)
-        product_into(step, rotation, new_rotation)
-        new_t[0], new_t[1], new_t[2] = t[0] + b[0], t[1] + b[1], t[2] + b[2]
         new_cost = pose_cost(new_rotation, new_t, lit.points, lit.seen, lit.information)
         if new_cost < NO_SOLUTION and fill_stance(new_rotation, new_t, stance, underfoot, True):
             new_cost += stance_cost(stance)

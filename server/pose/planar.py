@@ -291,6 +291,23 @@ def normal_equations(rotation, t, points, rays, information, a, b):
 
 
 @compiled
+def damped_step(normal, damping, rotation, t, step, new_rotation, new_t):
+    """Fill ``new_rotation`` (3, 3) and ``new_t`` (3,) with a pose one step of Levenberg and Marquardt further, of the
+    ``normal`` equations a (6, 6; its lower triangle) and b (6,), both destroyed; False where they have no solution.
+    ``step`` (3, 3) is scratch.
+    """
+    a, b = normal
+    for j in range(6):
+        a[j, j] *= 1.0 + damping
+    if not cholesky_solve(a, b):
+        return False
+    exp_into(b[3], b[4], b[5], step)
+    product_into(step, rotation, new_rotation)
+    new_t[0], new_t[1], new_t[2] = t[0] + b[0], t[1] + b[1], t[2] + b[2]
+    return True
+
+
+@compiled
 def refine_pose(rotation, t, points, rays, information, iterations):
     """Levenberg-Marquardt on rotation and translation, in place; returns the robust cost."""
     cost = pose_cost(rotation, t, points, rays, information)
@@ -302,14 +319,9 @@ def refine_pose(rotation, t, points, rays, information, iterations):
     damping = 1e-6
     for _ in range(iterations):
         normal_equations(rotation, t, points, rays, information, a, b)
-        for j in range(6):
-            a[j, j] *= 1.0 + damping
-        if not cholesky_solve(a, b):
+        if not damped_step((a, b), damping, rotation, t, step, new_rotation, new_t):
             damping = damping * 10.0 + 1e-3
             continue
-        exp_into(b[3], b[4], b[5], step)
-        product_into(step, rotation, new_rotation)
-        new_t[0], new_t[1], new_t[2] = t[0] + b[0], t[1] + b[1], t[2] + b[2]
         new_cost = pose_cost(new_rotation, new_t, points, rays, information)
         if new_cost <= cost:
             gained = cost - new_cost

@@ -11,15 +11,8 @@ from asterism.protocol.stl_heights import stl_heights
 from asterism.protocol.surface_sight import surface_warnings
 from tests.protocol.meshes import binary_stl, box, sheet, text_stl
 from tests.protocol.mutations import mutated_bytes
+from tests.protocol.small_camera import CAMERA
 
-_CAMERA = """\
-image_width: 640
-image_height: 512
-camera_name: top
-camera_matrix: {rows: 3, cols: 3, data: [700.0, 0.0, 319.5, 0.0, 700.0, 255.5, 0.0, 0.0, 1.0]}
-distortion_model: plumb_bob
-distortion_coefficients: {rows: 1, cols: 5, data: [0.0, 0.0, 0.0, 0.0, 0.0]}
-"""
 _RIG = """\
 camera: camera.yaml
 world: {position: [0.0, 0.0, 1.3], orientation: [1.0, 0.0, 0.0, 0.0]}
@@ -52,7 +45,7 @@ TABLES = (_TABLE.encode(), _TABLE.replace(",sigma", "").replace(",2e-05", "").en
 
 def rig(text: str) -> object:
     """A rig with a surface, and what is odd of it."""
-    return surface_warnings(parse_rig(text, _CAMERA, "fuzz", files={"mould.csv": _TABLE}))
+    return surface_warnings(parse_rig(text, CAMERA, "fuzz", files={"mould.csv": _TABLE}))
 
 
 def heights(data: bytes) -> object:

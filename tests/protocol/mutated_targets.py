@@ -26,17 +26,10 @@ from tests.protocol.bounds import TooMuch, bounded
 from tests.protocol.message_mutations import mutated_message
 from tests.protocol.mutations import mutated_bytes, mutated_yaml
 from tests.protocol.picture_mutations import mutated_bmp, mutated_jpeg, mutated_png, mutated_tiff
+from tests.protocol.small_camera import CAMERA
 from tests.protocol.table_mutations import mutated_table
 from tests.recordings import mutated_recordings
 
-CAMERA = """\
-image_width: 640
-image_height: 512
-camera_name: top
-camera_matrix: {rows: 3, cols: 3, data: [700.0, 0.0, 319.5, 0.0, 700.0, 255.5, 0.0, 0.0, 1.0]}
-distortion_model: plumb_bob
-distortion_coefficients: {rows: 1, cols: 5, data: [0.0, 0.0, 0.0, 0.0, 0.0]}
-"""
 RIG = """\
 camera: camera.yaml
 range: [0.4, 0.9]

@@ -12,7 +12,8 @@ from asterism.protocol.rig import Rig, load_rig, parse_rig
 from asterism.protocol.surface import Heights, crossing
 from asterism.protocol.surface_sight import sight_of, surface_warnings
 from tests.protocol.meshes import binary_stl, sheet, text_stl
-from tests.protocol.mutated_targets import CAMERA, RIG
+from tests.protocol.mutated_targets import RIG
+from tests.protocol.small_camera import CAMERA
 from tests.protocol.test_stl import DOME, dome, tilted
 
 RIGGED = RIG.replace(", offset: led.yaml", "").replace("[0.4, 0.9]", "[0.8, 2.0]")
